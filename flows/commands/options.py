@@ -83,9 +83,16 @@ settings_options = grouped(
 seed_option = click.option("--seed", type=int, help="Run seed, 0 by default; the same input and seed give the same result.")
 """`--seed N`."""
 
+
+def _library(_context: click.Context, _option: click.Parameter, given: str | None) -> Path | None:
+    from flows.run.libraries import given_library
+
+    return None if given is None else given_library(given)
+
+
 configuration_options = grouped(
     seed_option,
-    click.option("--library", type=click.Path(path_type=Path), help="Library of the lake to take candidates from, else a folder."),
+    click.option("--library", callback=_library, help="Library of the lake to take candidates from, else a folder."),
     settings_options,
 )
 """`--config`, `--set`, `--library`, `--seed`: what the stages are told."""

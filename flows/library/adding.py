@@ -81,7 +81,7 @@ def planned_library(lake: Lake, folder: Path, name: str, metadata: Sequence[Path
     hashes = FileHashes()
     files = folder_hash(folder, hashes)
     catalog = catalog_of(folder, metadata)
-    stated = digest(*(f"{path.name}={hashes.hash(path)}" for path in sorted(metadata)))
+    stated = digest(*(f"{path.name}={hashes.hash(path)}" for path in metadata))
     hashes.save()
     weights = _weights(config)
     settings = dataclasses.replace(config, weights=weights)  # wherever its folder lies

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from flows.run.libraries import may_be_name
+from flows.run.libraries import given_library, may_be_name
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
@@ -58,7 +58,7 @@ def configure(
     seed = seed if seed is not None else named_seed
     if abs(seed) > LARGEST:
         raise InputError(origin, "seed", "is too large", "give a number of up to 18 digits")
-    library = library or (Path(named_library) if named_library else None)
+    library = library or (given_library(named_library) if named_library else None)
     if library is not None and not library.is_dir() and not may_be_name(library):
         raise InputError(str(library), "library", "is not a folder", "name a folder of models, or a library of the lake")
     configs = configs_with(configs_with({stage.name: stage.config() for stage in STAGES}, from_file, origin), tables or {})

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +33,13 @@ class NamedLibrary:
 
     name: str
     content: str
+
+
+def given_library(text: str) -> Path:
+    """What a person names as a library. Whatever has a separator is a folder, `./models` and `models/` too, and made absolute so that it
+    stays one."""
+    path = Path(text)
+    return path.absolute() if "/" in text or os.sep in text else path
 
 
 def may_be_name(given: Path) -> bool:
@@ -96,14 +105,25 @@ def library_for_worker(address: str, name: str, content: str, snapshot_id: int |
     key = address, name, content
     if key not in _OPEN:
         lake = Lake.open(address)
-        readers = (lake.snapshot(), *([lake.snapshot(snapshot_id)] if snapshot_id is not None else []))
-        known = ((reader, row) for reader in readers if (row := indexed_library(reader, name)) is not None and row.content == content)
+        known = (
+            (reader, row)
+            for reader in _readers(lake, snapshot_id)
+            if (row := indexed_library(reader, name)) is not None and row.content == content
+        )
         reader, row = next(known, (None, None))
         if reader is None or row is None:
             return None
         _OPEN.clear()
         _OPEN[key] = _opened(lake, reader, row, (_reopened, (*key, snapshot_id)))
     return _OPEN[key]
+
+
+def _readers(lake: Lake, snapshot_id: int | None) -> Iterator[Reader]:
+    """The newest snapshot, and the one of a number as far as the lake still has it."""
+    yield lake.snapshot()
+    if snapshot_id is not None:
+        with contextlib.suppress(InputError):
+            yield lake.snapshot(snapshot_id)
 
 
 def _reopened(address: str, name: str, content: str, snapshot_id: int | None) -> OpenLibrary:
@@ -138,5 +158,9 @@ class _Assets:
         from tasks.candidates.assets import MadeAsset
         from tasks.library.entry import loaded
 
-        entry = loaded(self._lake.blobs[self._entries[file]])
+        try:
+            entry = loaded(self._lake.blobs[self._entries[file]])
+        except (KeyError, ValueError) as error:
+            # as a store that is away: the scene is lost to this run, and no slot is marked as failed for good
+            raise ConnectionError(f"library: {file}: its entry is gone, or of other code; `metascenes library add` it again") from error
         return MadeAsset(entry.asset, {}, charts=entry.charts)

@@ -26,6 +26,11 @@ def is_unknown(license_: str | None) -> bool:
     return license_ is None or license_.strip().lower() in UNSTATED
 
 
+def is_partly_unknown(license_: str | None) -> bool:
+    """Whether nobody stated the license, or that of a part of what was made of several things."""
+    return is_unknown(license_) or any(is_unknown(each) for each in re.split(r"\sAND\s", str(license_)))
+
+
 def stated(license_: str | None) -> str:
     """A license, `unknown` where nobody stated it."""
     return UNKNOWN if license_ is None or is_unknown(license_) else license_

@@ -45,7 +45,7 @@ class CandidatesConfig(Config):
         default_factory=SearchWeights
     )  # by rooms that real models were scanned in, held-out ones measured
     encoder: str = ""  # folder of the CLIP or SigLIP that a library was indexed with; without one no vectors are compared
-    views: ViewsConfig = dataclasses.field(default_factory=ViewsConfig)
+    views: ViewsConfig = dataclasses.field(default_factory=ViewsConfig)  # of frames, for twins that are painted with them
 
     def __post_init__(self) -> None:
         super().__post_init__()

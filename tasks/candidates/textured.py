@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from schemas.errors import InputError
-from schemas.lineage.licenses import BESIDE, OF_THE_SCAN, all_of
+from schemas.lineage.licenses import BESIDE, OF_THE_SCAN, all_of, is_of_scan
 from tasks.alignment import AlignmentConfig, align, covered_within, sample_asset
 from tasks.calls.asking import call_key, new_call, pixels_digest, recorded
 from tasks.calls.endpoint import CallAnswer
@@ -119,7 +119,7 @@ def twin_asset(request: CandidateRequest, config: Textured) -> MadeAsset:
     else:
         done = _by_program(request, plain, config, painter)
         licenses.append(painter.license)
-    whence = "" if asset.source.startswith("scan ") else f"{BESIDE}{asset.source}"
+    whence = "" if is_of_scan(asset.license) else f"{BESIDE}{asset.source}"
     parts = load_glb(done.glb, "twin.glb")
     made = make_asset(
         parts, provider=f"{asset.provider}{BESIDE_SLOT}",

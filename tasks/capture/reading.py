@@ -42,7 +42,7 @@ class FrameSource:
 class Group:
     """One instance as the scan names it: the vertices and faces of the scan mesh that are its own.
 
-    vertices, faces: Sorted indices into the scan mesh, shapes (n,) and (m,) int64; n >= 1.
+    vertices, faces: Sorted indices into the scan mesh, shapes (n,) and (m,) int64; n >= 1 but for what frames alone show.
     origin: File and field that the label was read from, for messages; empty for what was found in the geometry.
     """
 

@@ -41,6 +41,7 @@ def run(*, models_folder: ModelsFolder, context: Context, config: IndexConfig) -
 def model_row(library: str, entry: IndexEntry) -> LibraryModel:
     """The row of an entry, whose files have the names that their contents give them."""
     asset, bare = entry.asset, dataclasses.replace(entry, duplicate_of="", duplicate_by="")
+    assert asset.thumbnail_blob is not None
     return LibraryModel(
         library=library, file=entry.file, content=entry.content, format=entry.format, unit_m=entry.unit_m, unit_known=entry.unit_known,
         up=entry.up, up_known=entry.up_known, front=entry.front or None, category=entry.category, category_known=entry.category_known,
@@ -48,7 +49,7 @@ def model_row(library: str, entry: IndexEntry) -> LibraryModel:
         source_url=entry.source_url or None, extents=entry.extents, vertex_count=entry.vertex_count, face_count=entry.face_count,
         volume_m3=asset.volume_m3, is_closed=entry.is_closed, open_because=entry.open_because or None, has_texture=entry.has_texture,
         duplicate_of=entry.duplicate_of or None, duplicate_by=entry.duplicate_by or None, weights=entry.weights or None, notes=entry.notes,
-        asset_id=asset.asset_id, model_blob=asset.mesh_blob, thumbnail_blob=f"{_sha256(entry.thumbnails[0])}.png",
+        asset_id=asset.asset_id, model_blob=asset.mesh_blob, thumbnail_blob=asset.thumbnail_blob,
         entry_blob=f"{_sha256(dumped(bare))}.json", pieces_key=entry.pieces_key,
     )  # fmt: skip
 
@@ -56,7 +57,8 @@ def model_row(library: str, entry: IndexEntry) -> LibraryModel:
 def _library_row(library: str, index: ModelIndex, notes: Sequence[str], shelf: Shelf) -> IndexedLibrary:
     search = LibrarySearch.of(index.entries)
     packed = search.packed()
-    assets = [[entry.file, dataclasses.astuple(entry.asset)] for entry in index.entries]
+    taken = [(entry.file, entry.asset, entry.charts) for entry in index.entries]
+    assets = [[file, dataclasses.astuple(asset), charts and dataclasses.astuple(charts)] for file, asset, charts in taken]
     content = _sha256(json.dumps([_sha256(packed), assets]).encode())
     weights = {entry.weights for entry in index.entries}
     return IndexedLibrary(

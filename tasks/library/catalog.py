@@ -21,8 +21,11 @@ INDEX = "index.json"
 LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")
 """A folder's own files that say something of its models, the first license that has a line counts."""
 
-DRAWN_ON = (".mtl", ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".bin")
-"""Endings of files that models draw on, besides those of models."""
+DRAWN_ON = (
+    ".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff", ".gif", ".ppm", ".pgm", ".dds", ".jp2", ".exr",
+    ".hdr",
+)  # fmt: skip
+"""Endings of files that models draw on, besides those of models: all under which somebody may keep a picture."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +48,7 @@ def catalog_of(folder: Path, metadata: Sequence[Path] = ()) -> Catalog:
     """The catalog of a folder: its own `index.json` and license, and what further files say, which comes before that.
 
     metadata: Lists of the kind of `index.json`, Objaverse's annotations and LVIS categories, ABO's `3dmodels.csv` and listings; packed by
-    gzip or not, in any order.
+    gzip or not. Of two that name a model the later one counts.
 
     Raises:
         InputError: a further file is none of these, or broken; the folder's own are left out with a note.

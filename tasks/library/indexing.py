@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.candidates import Asset
 from schemas.errors import InputError, LakeError
 from schemas.text import one_line
 from tasks.candidates.assets import MAX_EXTENT_M, MAX_FACES, MIN_EXTENT_M, MadeAsset, charted, decimated, make_asset
@@ -205,10 +206,16 @@ def _shelve(entry: IndexEntry, made: Callable[[], MadeAsset], shelf: Shelf | Non
     """Put what belongs to an entry where it is to lie, as far as it is not there."""
     if shelf is None:
         return
-    if not shelf.refresh(entry.asset.mesh_blob):
-        shelf.put(made().files[entry.asset.mesh_blob], "glb")
+    missing = [name for name in asset_blobs(entry.asset) if not shelf.refresh(name)]
+    files = made().files if missing else {}
+    for name in missing:
+        shelf.put(files[name], name.rpartition(".")[2])
     shelf.put(dumped(entry), "json")
-    shelf.put(entry.thumbnails[0], "png")
+
+
+def asset_blobs(asset: Asset) -> list[str]:
+    """Names of the blobs of an asset."""
+    return [name for name in (asset.mesh_blob, asset.pieces_blob, asset.thumbnail_blob) if name is not None]
 
 
 REFUSED = b"refused "

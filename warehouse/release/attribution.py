@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from schemas.lineage.licenses import BESIDE, UNKNOWN, is_unknown, of_asset, scan_of, stated
+from schemas.lineage.licenses import BESIDE, UNKNOWN, is_partly_unknown, is_unknown, of_asset, scan_of, stated
 from warehouse.release.licenses import duties
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Attribution:
         """`ATTRIBUTION.md`."""
         lines = [f"# {title}", ""]
         lines += ["What the lake knows of where scans and assets come from. Whoever hands scenes on does what the licenses ask.", ""]
-        unknown = [credit for credit in (*self.scans, *self.assets) if is_unknown(credit.license)]
+        unknown = [credit for credit in (*self.scans, *self.assets) if is_partly_unknown(credit.license)]
         if unknown:
             items = sum(credit.items for credit in unknown)
             lines += [f"**{items} of these have no known license.** They must not be handed on before somebody has asked.", ""]

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from schemas.lineage.licenses import is_unknown
+from schemas.lineage.licenses import is_partly_unknown, is_unknown
 from schemas.runs import Release
 from schemas.tables import TABLES
 from warehouse.release.attribution import Attribution, cell
@@ -163,7 +163,7 @@ def _limits(release: Release, ask: _Answers, attribution: Attribution) -> str:
     unplaced = ask.row(_UNPLACED)[0]
     refused, unstable = ask.row(_UNSTABLE)
     answers, fallbacks = ask.row("SELECT coalesce(sum(answers), 0), coalesce(sum(fallbacks), 0) FROM fallback_counts")
-    unknown = [sum(c.items for c in credits if is_unknown(c.license)) for credits in (attribution.scans, attribution.assets)]
+    unknown = [sum(c.items for c in credits if is_partly_unknown(c.license)) for credits in (attribution.scans, attribution.assets)]
     authors = sum(credit.items for credit in attribution.assets if is_unknown(credit.author))
     unreachable = ask.row("SELECT count(*) FROM unreachable_targets")[0]
     lines = [

@@ -14,7 +14,7 @@ from pathlib import Path
 from schemas.candidates import Asset
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.lineage.licenses import is_of_scan, is_unknown, of_asset, scan_of
+from schemas.lineage.licenses import is_of_scan, is_partly_unknown, is_unknown, of_asset, scan_of
 from warehouse.tables.snapshot import Reader
 
 MAX_LIST_BYTES = 2**20
@@ -137,7 +137,7 @@ def with_licenses_of_scans(assets: Sequence[Asset], snapshot: Callable[[], Reade
 
 def duties(license_: str | None) -> str:
     """What a license asks of whoever hands the work on, in a few words."""
-    if is_unknown(license_):
+    if is_partly_unknown(license_):
         return "unknown: ask before handing it on"
     text = str(license_).strip()
     if _FREE.fullmatch(text):

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.errors import InputError
 from tasks.capture.instances.rows import InstancePoints, box_of, scanned_solid
 from tasks.capture.instances.views import Sight, border_contact, chosen_frames, depth_tolerance
 from tasks.capture.labels import Label, LabelMap
@@ -21,6 +22,7 @@ from tasks.capture.small_objects.naming import UNKNOWN, NamingConfig, name_by_si
 from tasks.capture.small_objects.support_views import CarryingInstance
 from tasks.capture.small_objects.supports import SupportSlab, support_slabs
 from tasks.geometry.meshes import Surface
+from tasks.mounting import mounting
 from tasks.settings import Config, Count, Positive, union_of
 from tasks.stage import Context
 
@@ -38,6 +40,9 @@ _LEAST_SHOWN = 4
 
 _ABOVE_M = 0.01
 """Vertices lower than this above a board are the board's [m]: a scan mesh's noise."""
+
+_BELOW_NEXT_M = 0.01
+"""And those so near to the next board are that one's [m]."""
 
 _LEAST_LEFT = 3
 """Vertices that a support keeps at least: it is there, whatever stands on it."""
@@ -97,7 +102,7 @@ def with_small_objects(
     to world frame, 4x4 [m]. most_frames: Frames that are read, evenly over all. most_views: Sights of an object that are kept, the best.
 
     Raises:
-        InputError: an image of a frame cannot be read, or the settings name networks or endpoints that cannot be used.
+        InputError: the settings name networks or endpoints that cannot be used.
         EndpointAway: an endpoint does not answer, and that is left to the next run.
     """
     plain = Instances(tuple(groups), list(meanings), list(solids), {}, (), ())
@@ -110,14 +115,15 @@ def with_small_objects(
         for number, (label, solid) in enumerate(zip(meanings, solids, strict=True))
         if not label.is_structure and (slabs := support_slabs(label.category, *box_of(solid, world, label.category), solid.points))
     ]
-    posed = {frames[place].frame_id: place for place in (chosen_frames(frames, most_frames) if supports else ())}
-    views = {name: view for name, place in posed.items() if (view := depth_view(frames[place], alignment)) is not None}
     if not supports:
         return plain
+    with_depth = [place for place, frame in enumerate(frames) if frame.depth is not None]
+    chosen = [with_depth[index] for index in chosen_frames([frames[place] for place in with_depth], most_frames)]
+    posed, views, problems = _seen(frames, chosen, alignment)
     if not views:
-        return dataclasses.replace(plain, notes=("small objects were not looked for: no frame has a pose and depth",))
+        why = "no frame has a pose and depth" if not chosen else "no frame can be read"
+        return dataclasses.replace(plain, notes=(*problems, f"small objects were not looked for: {why}"))
     objects: list[FoundObject] = []
-    problems: list[str] = []
     for done, support in enumerate(supports):
         best = _best_views(support, views, config.views)
         if isinstance(config.provider, LearnedConfig):
@@ -144,8 +150,25 @@ def with_small_objects(
         sights += sorted((sight for sight in own if sight is not None), key=lambda sight: (-sight.score, sight.frame))[:most_views]
     for name in sorted({finder.name for finder in finders.values()}):
         count = sum(finder.name == name for finder in finders.values())
-        problems.append(f"{count} small objects that the scan does not name were found by {name}")
+        things = "small object that the scan does not name was" if count == 1 else "small objects that the scan does not name were"
+        problems.append(f"{count} {things} found by {name}")
     return Instances(tuple(made.groups), made.meanings, made.solids, finders, tuple(sights), (*problems, *result.notes))
+
+
+def _seen(frames: Sequence[FrameSource], chosen: Sequence[int], alignment: Array) -> tuple[dict[str, int], dict[str, DepthView], list[str]]:
+    """Places of frames by id, the frames as views, and why some are left out: an image that cannot be read costs no scan, as long as
+    nobody needs it."""
+    posed, views, problems = {}, {}, []
+    for place in chosen:
+        frame = frames[place]
+        try:
+            view = depth_view(frame, alignment)
+        except InputError as error:
+            problems.append(f"small objects are looked for without frame {frame.frame_id}: {error}")
+            continue
+        if view is not None:
+            posed[frame.frame_id], views[frame.frame_id] = place, view
+    return posed, views, problems
 
 
 def _best_views(support: CarryingInstance, views: Mapping[str, DepthView], most: int) -> list[str]:
@@ -204,10 +227,12 @@ class _Making:
         faces = self._world.faces
         self._owner[vertices] = number
         own = np.flatnonzero((self._owner[faces] == number).all(axis=1)) if len(vertices) else np.zeros(0, dtype=np.int64)
-        category = OBJECT if obj.category in ("", UNKNOWN) else obj.category
+        label = labels[obj.category] if obj.category not in ("", UNKNOWN) else labels[OBJECT]
+        if label.is_structure or mounting(label.category).kind == "let_in":  # no wall, and no window in one, stands on a table
+            label = labels[OBJECT]
         origin = f"{obj.found_by} on {self.groups[support].source_id}"
-        self.groups.append(Group(f"found.{number:04d}", f"{obj.found_by}:{category}", vertices, own, origin))
-        self.meanings.append(labels[category])
+        self.groups.append(Group(f"found.{number:04d}", f"{obj.found_by}:{label.category}", vertices, own, origin))
+        self.meanings.append(label)
         self.solids.append(InstancePoints(obj.points, obj.colors, own, is_exact=False))
         carrier = self.groups[support]
         if not self.solids[support].is_exact and len(vertices):
@@ -225,7 +250,8 @@ class _Making:
         points, reach = self._world.vertices, self._reach
         free = (self._owner == -1) | (self._owner == support)
         near = np.flatnonzero(free & ((points >= obj.points.min(axis=0) - reach) & (points <= obj.points.max(axis=0) + reach)).all(axis=1))
-        near = near[board.local(points[near])[:, 2] > _ABOVE_M]
+        height = board.local(points[near])[:, 2]
+        near = near[(height > _ABOVE_M) & (height < board.high[2] - _BELOW_NEXT_M)]
         outline = shapely.MultiPoint(obj.points[:, :2]).convex_hull.buffer(reach)
         near = near[shapely.contains_xy(outline, points[near, :2])]
         near = near[self._whose[self._points.query(points[near])[1]] == place]

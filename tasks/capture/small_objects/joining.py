@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from tasks.capture.small_objects.consensus import ConsensusInstance
 from tasks.capture.small_objects.lifting import LiftedFrame
 from tasks.settings import Config, Count, Positive, Share
+
+_SPACING_POINTS = 500
+"""Of an instance, by which its spacing is measured."""
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -21,6 +25,7 @@ class JoiningConfig(Config):
     """When a new object is one that is there already."""
 
     reach_m: Positive = 0.02  # a scan mesh's vertices lie as far from each other, and poses drift by a centimeter
+    reach_spacings: Positive = 0.8  # of those of a coarser one: the middle of a square of vertices is 0.7 of its side from them
     same_share: Share = 0.5  # of a new object's points at those of an instance, or the other way round: it is that one
     structure_share: Share = 0.8  # of its points at those of a wall: it is wall; what hangs there or leans on it stands off by a part
     whole_share: Share = 0.4  # of an instance's points at those of one new object: they are of a size, and it is that one
@@ -35,6 +40,22 @@ class ExistingInstance:
     instance_id: str
     points: Array
     is_structure: bool = False
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Least and largest coordinates of its points [m], shapes (3,)."""
+        return self.points.min(axis=0), self.points.max(axis=0)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Median distance of its points from the nearest other place that has one [m]; 0 where there is but one."""
+        from scipy.spatial import cKDTree
+
+        places = np.unique(np.round(self.points, 3), axis=0)  # corners of several faces are one
+        if len(places) < 2:
+            return 0.0
+        some = places[:: max(1, len(places) // _SPACING_POINTS)]
+        return float(np.median(cKDTree(places).query(some, k=2)[0][:, 1]))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,7 +122,7 @@ def joined(existing: Sequence[ExistingInstance], objects: Sequence[FoundObject],
     known: dict[int, str] = {}
     held: dict[str, list[int]] = {}
     for place, obj in enumerate(objects):
-        inside = [_sameness(obj, other, config.reach_m) for other in rivals]
+        inside = [_sameness(obj, other, config) for other in rivals]
         wanted = [config.structure_share if other.is_structure else config.same_share for other in rivals]
         best = max(range(len(rivals)), key=lambda i: (inside[i] - wanted[i], -i), default=None)
         if best is None or inside[best] < wanted[best]:
@@ -135,13 +156,20 @@ def joined(existing: Sequence[ExistingInstance], objects: Sequence[FoundObject],
     return Joined(tuple(added), known, several, notes)
 
 
-def _sameness(obj: FoundObject, other: ExistingInstance, reach: float) -> float:
+def _sameness(obj: FoundObject, other: ExistingInstance, config: JoiningConfig) -> float:
     """Share of an object's points within reach [m] of an instance's, or of these of the object's where it is more: a scan mesh has a
     vertex every two centimeters, and of a bowl a hundred. What carries the object is another."""
-    if other.instance_id == obj.support_id:
+    if other.instance_id == obj.support_id or not _meet(obj.points, other, config.reach_m):
         return 0.0
+    reach = max(config.reach_m, config.reach_spacings * other.spacing)
     own = _share(obj.points, other.points, reach)
     return own if other.is_structure else max(own, _share(other.points, obj.points, reach))
+
+
+def _meet(points: Array, other: ExistingInstance, reach: float) -> bool:
+    """Whether the boxes of points and of an instance come within reach [m] of each other."""
+    low, high = other.bounds
+    return bool((points.min(axis=0) - reach <= high).all() and (points.max(axis=0) + reach >= low).all())
 
 
 def _share(points: Array, nearby: Array, reach: float) -> float:

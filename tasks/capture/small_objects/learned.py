@@ -214,7 +214,7 @@ def _in_frame(view: SupportView, window: tuple[int, int, int, int], detected: De
     kept: list[int] = []
     masks: list[Bools] = []
     for place in range(len(detected.boxes)):
-        if fit[place] < config.least_fit:
+        if not fit[place] >= config.least_fit:  # nor what has no number
             continue
         whole = np.zeros((view.frame.height, view.frame.width), dtype=bool)
         whole[y0:y1, x0:x1] = detected.masks[place]

@@ -120,22 +120,24 @@ def depth_noise(depth: NDArray[np.floating]) -> Array:
 
 
 def depth_view(frame: FrameSource, alignment: Array) -> DepthView | None:
-    """A frame of a scan at the resolution of its depth; None without depth or pose. alignment: Scan frame to world frame, 4x4 [m].
+    """A frame of a scan at the resolution of its depth; None without depth or pose. What the color image does not show has no depth.
+
+    alignment: Scan frame to world frame, 4x4 [m].
 
     Raises:
         InputError: its images cannot be read.
     """
     if frame.depth is None or frame.depth_size is None or frame.pose is None:
         return None
-    depth, color = frame.depth(), frame.color()
-    row, column = _color_pixels(frame)
+    row, column, inside = _color_pixels(frame)
+    depth, color = np.where(inside, frame.depth(), np.float32(0)), frame.color()
     return DepthView(frame.frame_id, depth, color[row[:, None], column[None, :]], frame.depth_intrinsics, alignment @ frame.pose)
 
 
 def at_depth(mask: Bools, frame: FrameSource) -> Bools:
     """A mask of a frame's color image, shape (height, width), at the resolution of its depth."""
-    row, column = _color_pixels(frame)
-    return mask[row[:, None], column[None, :]]
+    row, column, inside = _color_pixels(frame)
+    return inside & mask[row[:, None], column[None, :]]
 
 
 def at_color(mask: Bools, frame: FrameSource) -> Bools:
@@ -149,14 +151,16 @@ def at_color(mask: Bools, frame: FrameSource) -> Bools:
     return inside & mask[np.clip(rows, 0, height - 1)[:, None], np.clip(columns, 0, width - 1)[None, :]]
 
 
-def _color_pixels(frame: FrameSource) -> tuple[Indices, Indices]:
-    """Rows and columns of the color image that the rows and columns of the depth image show, both cameras at one center."""
+def _color_pixels(frame: FrameSource) -> tuple[Indices, Indices, Bools]:
+    """Rows and columns of the color image that the rows and columns of the depth image show, both cameras at one center, clipped to it; and
+    which pixels of the depth image it shows, shape (h, w)."""
     assert frame.depth_size is not None
     fx, fy, cx, cy = frame.intrinsics
     dfx, dfy, dcx, dcy = frame.depth_intrinsics
-    columns = np.rint((np.arange(frame.depth_size[0]) - dcx) / dfx * fx + cx)
-    rows = np.rint((np.arange(frame.depth_size[1]) - dcy) / dfy * fy + cy)
-    return np.clip(rows, 0, frame.height - 1).astype(np.int64), np.clip(columns, 0, frame.width - 1).astype(np.int64)
+    columns = np.rint((np.arange(frame.depth_size[0]) - dcx) / dfx * fx + cx).astype(np.int64)
+    rows = np.rint((np.arange(frame.depth_size[1]) - dcy) / dfy * fy + cy).astype(np.int64)
+    inside = ((rows >= 0) & (rows < frame.height))[:, None] & ((columns >= 0) & (columns < frame.width))[None, :]
+    return np.clip(rows, 0, frame.height - 1), np.clip(columns, 0, frame.width - 1), inside
 
 
 def sound_pixels(depth: NDArray[np.float32], config: LiftingConfig) -> Bools:

@@ -26,6 +26,7 @@ from tasks.capture.scan import Scan
 from tasks.lineage.outline import outline
 from tests.capture_scans import OBJECTS, box_room, write_scannet
 from tests.flows.library.libraries import added, write_models
+from tests.samples import lasting
 from warehouse.lake import Lake
 
 pytestmark = pytest.mark.whole
@@ -76,7 +77,7 @@ def todo(lake: Lake, scan: Scan, library: Path | None) -> dict[str, str]:
 
 
 def bare(rows: Sequence[Candidate]) -> list[Candidate]:
-    return [dataclasses.replace(row, library=None) for row in rows]
+    return [dataclasses.replace(lasting(row), library=None) for row in rows]
 
 
 def test_a_library_of_the_lake_gives_what_its_folder_gives(tmp_path: Path, scan: Scan, folder: Path) -> None:

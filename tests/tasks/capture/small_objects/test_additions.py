@@ -16,8 +16,13 @@ from schemas.record import check
 from schemas.tables import TABLES
 from tasks.calls.ledger import Recollection
 from tasks.capture import CaptureConfig, find_scans, run
+from tasks.capture.instances.rows import scanned_solid
 from tasks.capture.instances.views import run_lengths
-from tasks.capture.small_objects.additions import SmallObjectsConfig, Unsought
+from tasks.capture.labels import label_map
+from tasks.capture.scenes import read_scan
+from tasks.capture.small_objects.additions import SmallObjectsConfig, Unsought, with_small_objects
+from tasks.capture.small_objects.classical import ClassicalConfig
+from tasks.capture.small_objects.consensus import ConsensusConfig
 from tasks.capture.small_objects.detectors import CommandedDetector, GroundingDino
 from tasks.capture.small_objects.items import AskedItems
 from tasks.capture.small_objects.learned import LearnedConfig
@@ -25,7 +30,7 @@ from tasks.capture.small_objects.segmenters import Sam2
 from tasks.geometry.meshes import load_glb, read_points, surface_of
 from tasks.geometry.transforms import inverse, matrix, transform_points, yaw_pose
 from tasks.stage import Context, Outcome
-from tests.capture_scans import OBJECTS, BoxRoom, box_room, write_scannet
+from tests.capture_scans import OBJECTS, SCAN_FROM_WORLD, BoxRoom, box_room, write_scannet
 from tests.tasks.calls.servers import Server, refuses, says, server
 
 __all__ = ["server"]
@@ -82,7 +87,7 @@ def test_what_the_files_do_not_name_is_found(tmp_path: Path, room: BoxRoom) -> N
     assert outcome.rows["scenes"][0].instance_count == len(outcome.rows["instances"]) == len(room.labels)
     assert {row.found_by for row in outcome.rows["instances"] if row is not found} == {"file"}
     assert {mask.found_by for mask in outcome.rows["masks"] if mask.instance_id != found.instance_id} == {"surface"}
-    assert "1 small objects that the scan does not name were found by classical" in outcome.degradations
+    assert "1 small object that the scan does not name was found by classical" in outcome.degradations
     assert found.mesh_blob is not None
     own = surface_of(load_glb(outcome.blobs[found.mesh_blob])).vertices
     true = room.surface.vertices[room.instance == len(room.labels) - 1]
@@ -117,6 +122,75 @@ def test_who_cannot_look_says_so(tmp_path: Path, room: BoxRoom) -> None:
     assert "small objects were not looked for: no frame has a pose and depth" in outcome.degradations
     unsought = CaptureConfig(small_objects=SmallObjectsConfig(provider=Unsought()))
     assert not any("small objects" in line for line in captured(tmp_path / "scene0001_00", unsought).degradations)
+
+
+def test_a_frame_that_cannot_be_read_costs_a_line_and_no_scan(tmp_path: Path, room: BoxRoom) -> None:
+    """A frame that nobody needs for a crop may be broken, as before anybody looked for small objects."""
+    folder = write_scannet(tmp_path / "scene0001_00", room, labels=room.labels[:-1])
+    before = captured(folder)
+    best = {name for row in before.rows["instances"] for name in row.best_frames[:1]}
+    frame = next(row for row in before.rows["frames"] if row.frame_id not in best)
+    path = folder / frame.color_file
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    outcome = captured(folder)
+    assert_is_the_box(outcome, one_found(outcome))
+    told = [line for line in outcome.degradations if line.startswith(f"small objects are looked for without frame {frame.frame_id}: ")]
+    assert len(told) == 1
+
+
+def test_frames_without_depth_are_no_frames_that_are_looked_at(tmp_path: Path, room: BoxRoom) -> None:
+    """Of a walk in which every other frame has depth those that have it are chosen."""
+    config = CaptureConfig(max_view_frames=6)
+    folder = write_scannet(tmp_path / "scene0001_00", room, labels=room.labels[:-1])
+    (scan,), _ = find_scans(folder, "auto")
+    reading = read_scan(scan)
+    halved = [dataclasses.replace(frame, depth=None, depth_size=None) if i % 2 == 0 else frame for i, frame in enumerate(reading.frames)]
+    assert reading.surface is not None
+    assert reading.groups is not None
+    labels = label_map(None)
+    meanings = [labels[group.raw_label] for group in reading.groups]
+    pose = inverse(SCAN_FROM_WORLD)
+    world = reading.surface.transformed(pose)
+    solids = [scanned_solid(world, group) for group in reading.groups]
+    all_of_them = with_small_objects(
+        reading.groups, meanings, solids, world, halved, pose, labels, Context(scan.scene_id, "capture", 3, {}), config.small_objects,
+        most_frames=6, most_views=3,
+    )  # fmt: skip
+    assert len(all_of_them.finders) == 1
+    assert {sight.frame % 2 for sight in all_of_them.sights} == {1}
+
+
+def test_every_vertex_and_face_has_one_owner_at_most(tmp_path: Path) -> None:
+    """Two boxes that nobody named stand side by side on a table that has the vertices of one, a hand from a box that is named."""
+    table, _, _, box = OBJECTS
+    beside = ("box", (0.55, 0.45, 0.8), (0.2, 0.2, 0.2), 0.0)
+    named = ("box", (1.2, 0.5, 0.78), (0.16, 0.2, 0.16), 0.0)
+    room = box_room((table, named, box, beside))
+    count = len(room.labels)
+    merged = dataclasses.replace(room, instance=np.where(room.instance == count - 1, count - 4, room.instance), labels=room.labels[:-1])
+    folder = write_scannet(tmp_path / "scene0001_00", merged, labels=room.labels[: count - 2])
+    (scan,), _ = find_scans(folder, "auto")
+    reading = read_scan(scan)
+    assert reading.surface is not None
+    assert reading.groups is not None
+    labels, pose = label_map(None), inverse(SCAN_FROM_WORLD)
+    world = reading.surface.transformed(pose)
+    solids = [scanned_solid(world, group) for group in reading.groups]
+    seen = with_small_objects(
+        reading.groups, [labels[group.raw_label] for group in reading.groups], solids, world, reading.frames, pose, labels,
+        Context(scan.scene_id, "capture", 3, {}), SmallObjectsConfig(provider=ClassicalConfig()), most_frames=60, most_views=3,
+    )  # fmt: skip
+    assert len(seen.finders) == 2
+    for part in ("vertices", "faces"):
+        owned = np.concatenate([getattr(group, part) for group in seen.groups])
+        assert len(np.unique(owned)) == len(owned), part
+    kept = next(group for group in seen.groups if group.source_id == reading.groups[count - 3].source_id)
+    assert np.array_equal(kept.vertices, reading.groups[count - 3].vertices), "what is named keeps all that it has"
+    for number in seen.finders:
+        own, center = seen.groups[number], seen.solids[number].points.mean(axis=0)
+        true = min((count - 2, count - 1), key=lambda i: float(np.linalg.norm(world.vertices[room.instance == i].mean(axis=0) - center)))
+        assert (room.instance[own.vertices] == true).mean() > 0.95, "its own, not its neighbor's"
+        assert np.isin(world.faces[own.faces], own.vertices).all()
 
 
 def test_the_same_scan_gives_the_same_bytes(tmp_path: Path, room: BoxRoom) -> None:
@@ -170,7 +244,7 @@ def test_a_program_of_others_finds_it_by_name(tmp_path: Path, room: BoxRoom) -> 
     assert_is_the_box(outcome, found, "command:painter")
     assert found.category == "book"
     assert found.category_probability == pytest.approx(0.75, abs=0.01)
-    assert "1 small objects that the scan does not name were found by command:painter" in outcome.degradations
+    assert "1 small object that the scan does not name was found by command:painter" in outcome.degradations
 
 
 @pytest.mark.whole
@@ -183,14 +257,16 @@ def test_networks_and_an_endpoint_make_the_same_rows_of_a_scan_every_time(
     config = learned(
         detector=GroundingDino(weights=str(networks / "grounding_dino"), threshold=0.2, text_threshold=0.0, shortest_px=64, longest_px=96),
         segmenter=Sam2(weights=str(networks / "sam2")),
-        items=AskedItems(url=server.url, model="seer-1", pause_seconds=0.0, attempts=1), least_fit=0.0, inside_share=0.0,
+        items=AskedItems(url=server.url, model="seer-1", pause_seconds=0.0, attempts=1), least_fit=0.0, inside_share=0.0, board_share=1.0,
+        consensus=ConsensusConfig(least_masks=1, kept_share=0.0, agreement=0.5),
     )  # fmt: skip
     folder = write_scannet(tmp_path / "scene0001_00", room, labels=room.labels[:-1])
     ledger = Recollection()
     first = captured(folder, config, ledger)
     asked = len(server.requests)
     assert asked == len(ledger.calls) > 0
-    assert {row.found_by for row in first.rows["instances"]} <= {"file", "grounding_dino+sam2"}
+    assert {row.found_by for row in first.rows["instances"]} == {"file", "grounding_dino+sam2"}
+    assert "grounding_dino+sam2" in {mask.found_by for mask in first.rows["masks"]}
     server.answers = [refuses(500)]
     again = captured(folder, config, ledger)
     assert len(server.requests) == asked, "what the ledger has is not asked again"
