@@ -1,7 +1,8 @@
-"""Which global concurrency limit of the Prefect server keeps a graphics card from holding more networks than fit into its memory.
+"""Which global concurrency limit of the Prefect server keeps stages from computing on a graphics card at once.
 
-A card has one limit, of as many slots as stages may use it at once: one, for one set of networks at a time. The limit is that of the
-server, so it counts over all runs and machines; machines with cards of their own go by servers, or by limits, of their own.
+A card has one limit, of as many slots as stages may use it at once. It counts use, not memory: a worker keeps its networks on the card
+between scenes, so that a card holds as many sets as workers use it. The limit is that of the server, so it counts over all runs and
+machines; machines with cards of their own go by servers, or by limits, of their own.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ class LibraryModel:
     library: str = column("Library", pattern=LIBRARY_PATTERN)
     file: str = column("File, relative to the library's folder")
     content: str = column("Hash of the file and of all that it draws on", pattern=HASH)
-    format: str = column("Format: glb, obj or usd")
+    format: str = column("Format of the file, as its reader is called")
     unit_m: float = column("Metres per unit of the file", unit="m", minimum=0)
     unit_known: str = column("How the unit is known", values=KNOWN)
     up: str = column("Axis of the file that points up", values=("y", "z"))

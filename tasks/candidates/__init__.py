@@ -41,9 +41,7 @@ class CandidatesConfig(Config):
     """Who offers candidates."""
 
     slots: Slots = DEFAULT_SLOTS  # ten, as the paper gives annotators ten candidates
-    search: SearchWeights = dataclasses.field(
-        default_factory=SearchWeights
-    )  # by rooms that real models were scanned in, held-out ones measured
+    search: SearchWeights = dataclasses.field(default_factory=SearchWeights)  # by rooms that real models were scanned in
     encoder: str = ""  # folder of the CLIP or SigLIP that a library was indexed with; without one no vectors are compared
     views: ViewsConfig = dataclasses.field(default_factory=ViewsConfig)  # of frames, for twins that are painted with them
 

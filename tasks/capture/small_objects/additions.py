@@ -150,8 +150,8 @@ def with_small_objects(
         sights += sorted((sight for sight in own if sight is not None), key=lambda sight: (-sight.score, sight.frame))[:most_views]
     for name in sorted({finder.name for finder in finders.values()}):
         count = sum(finder.name == name for finder in finders.values())
-        things = "small object that the scan does not name was" if count == 1 else "small objects that the scan does not name were"
-        problems.append(f"{count} {things} found by {name}")
+        noun = "small object that the scan does not name was" if count == 1 else "small objects that the scan does not name were"
+        problems.append(f"{count} {noun} found by {name}")
     return Instances(tuple(made.groups), made.meanings, made.solids, finders, tuple(sights), (*problems, *result.notes))
 
 

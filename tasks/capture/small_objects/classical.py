@@ -15,7 +15,7 @@ from tasks.capture.small_objects.consensus import ConsensusConfig, ConsensusInst
 from tasks.capture.small_objects.lifting import DepthView, FrameMasks, LiftedFrame, LiftingConfig, depth_noise, lifted
 from tasks.capture.small_objects.patches import BoardPixels, PatchConfig, hull_overlap, objects_of, other_color, tints_of
 from tasks.capture.small_objects.supports import BELOW_M, SupportSlab
-from tasks.settings import Config, Count, Positive, Share
+from tasks.settings import Config, Count, NonNegative, Positive, Share
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -58,6 +58,20 @@ class Found:
 
 
 @dataclasses.dataclass(frozen=True)
+class ExactLifting(LiftingConfig):
+    """Which pixels of a mask are lifted whose outline is exact."""
+
+    erosion_px: NonNegative = 0.0  # such masks end where depth does
+
+
+@dataclasses.dataclass(frozen=True)
+class DividedConsensus(ConsensusConfig):
+    """When masks are one instance that a frame may divide."""
+
+    side_by_side: Share = 0.35  # of the frames of two clusters: a hollow or a gap in the depth divides one object in some
+
+
+@dataclasses.dataclass(frozen=True)
 class ClassicalConfig(Config):
     """What stands out, what parts it, and what views have to agree on."""
 
@@ -81,9 +95,8 @@ class ClassicalConfig(Config):
     part_paint: Share = 0.25  # of the difference of two paints: what touches and is as like as this is one object
     least_score: Share = 0.1  # of a mask that the image's border cuts
     patches: PatchConfig = dataclasses.field(default_factory=PatchConfig)  # see there
-    lifting: LiftingConfig = dataclasses.field(default_factory=lambda: LiftingConfig(erosion_px=0.0))  # its masks end where depth does
-    # a hollow or a gap in the depth divides one object in some frames
-    consensus: ConsensusConfig = dataclasses.field(default_factory=lambda: ConsensusConfig(side_by_side=0.35))
+    lifting: ExactLifting = dataclasses.field(default_factory=ExactLifting)  # see there
+    consensus: DividedConsensus = dataclasses.field(default_factory=DividedConsensus)  # see there
 
 
 def found_objects(views: Sequence[DepthView], slabs: Sequence[SupportSlab], config: ClassicalConfig) -> Found:

@@ -35,9 +35,7 @@ class ConsensusConfig(Config):
     split_share: Share = 0.3  # a mask that more of its views divide holds several objects
     agreement: Share = 0.9  # of the views that know both masks: they are one
     side_by_side: Share = 0.0  # of the frames of two clusters that may show both: masks of one frame are two objects
-    two_sides: Share = (
-        0.2  # of the smaller one's points in another one: two that merely touch share less, since poses drift by a centimeter
-    )
+    two_sides: Share = 0.2  # of the smaller one's points in another one: two that merely touch share less, by the drift of poses
     other_name: Share = 0.5  # overlap from which on masks of different names are one object
     least_masks: Count = 2  # one view alone may be a reflection, or a part of something
     kept_share: Share = 0.5  # of the views of a point that have it in the instance

@@ -52,9 +52,7 @@ class LearnedConfig(Config):
     segmenter: SegmenterSettings = dataclasses.field(default_factory=Sam2)  # SAM, the paper's, is slower
     detector: DetectorSettings = dataclasses.field(default_factory=GroundingDino)  # knows what a model lists
     items: ItemSettings = dataclasses.field(default_factory=ListedItems)  # needs no endpoint
-    support_mask: Literal["segmenter", "points"] = (
-        "segmenter"  # whose mask of the support a model is shown; `points` are its instance's own
-    )
+    support_mask: Literal["segmenter", "points"] = "segmenter"  # whose mask of the support a model is shown; else its instance's points
     item_views: Count = 2  # frames that show the support best, which a model is shown: a second one shows what the first one hides
     look: Literal["window", "frame"] = "window"  # around the support alone, things have more pixels; frames of one size go in batches
     least_pixels: Count = 200  # of depth where small objects can be: frames with fewer show none that can be lifted

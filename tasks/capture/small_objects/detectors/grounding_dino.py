@@ -23,7 +23,7 @@ class GroundingDino(OpenVocabulary):
     threshold: Share = 0.25  # of the surest token of a box; the default of transformers, the authors' demo takes 0.35
     text_threshold: Share = 0.25  # of the surest token of its phrase; as published
     shortest_px: Count = 800  # sides that pictures are brought to; as published
-    longest_px: Count = 1333
+    longest_px: Count = 1333  # of the picture's longer side, as published
     version: str = "1"  # goes up when the same weights would give other boxes
 
 
