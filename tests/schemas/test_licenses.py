@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.errors import InputError
-from schemas.lineage.licenses import OF_THE_SCAN, UNKNOWN, all_of, is_of_scan, is_unknown, of_asset
+from schemas.lineage.licenses import OF_THE_SCAN, UNKNOWN, all_of, is_of_scan, is_partly_unknown, is_unknown, of_asset
 from warehouse.release.licenses import Allowed, duties
 
 NAMES = ("CC0-1.0", "CC-BY-4.0", "CC-BY-NC-4.0", "MIT", "MIT-0", "ScanNet Terms of Use, see the site")
@@ -105,9 +105,15 @@ def test_what_was_painted_with_a_scan_has_both_licenses() -> None:
     assert not Allowed(("MIT", "CC0-1.0")).permits(of_asset(f"MIT AND {OF_THE_SCAN}", "scan demo/b; chair.glb", scans))
 
 
+def test_a_license_is_partly_unknown_where_one_of_several_is() -> None:
+    assert all(map(is_partly_unknown, (None, "", "unknown", "unknown AND MIT", "CC-BY-4.0 AND unknown", all_of(["", OF_THE_SCAN]))))
+    assert not any(map(is_partly_unknown, ("MIT", "CC-BY-4.0 AND MIT", "(MIT OR CC0-1.0) AND CC-BY-4.0", "unknown-license-1.0")))
+
+
 def test_duties_name_what_a_license_asks() -> None:
     assert duties("CC0-1.0") == duties("mit-0") == "nothing"
     assert "ask" in duties(None)
+    assert "ask" in duties("unknown AND CC-BY-4.0"), "what was painted of a model that nobody licensed"
     assert duties("LicenseRef-own") == "read the license"
     words = duties("CC-BY-NC-SA-4.0")
     assert all(part in words for part in ("author", "no commercial use", "same license"))

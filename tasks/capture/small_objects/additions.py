@@ -140,7 +140,7 @@ def with_small_objects(
     ]
     result = joined(existing, objects, config.joining)
     boards = {support.instance_id: support.slabs for support in supports}
-    made = _Making(list(groups), list(meanings), list(solids), world, [obj.points for obj in result.added], config.reach_m)
+    made = Making(list(groups), list(meanings), list(solids), world, [obj.points for obj in result.added], config.reach_m)
     finders: dict[int, Finder] = {}
     sights: list[Sight] = []
     for place, obj in enumerate(result.added):
@@ -203,7 +203,7 @@ def board_of(points: Array, slabs: Sequence[SupportSlab]) -> SupportSlab:
     return max(slabs, key=lambda slab: int(slab.holds(points).sum()))
 
 
-class _Making:
+class Making:
     """Instances, to which others are added. clouds: Points of these, world frame [m], shapes (n, 3)."""
 
     def __init__(

@@ -13,7 +13,8 @@ import pytest
 from flows.library.adding import remove_library
 from flows.outputs.explain import explain, settings_of
 from flows.run.configuration import Configuration, configure
-from flows.run.libraries import NamedLibrary
+from flows.run.fingerprints import FileHashes
+from flows.run.libraries import NamedLibrary, given_library, library_input
 from flows.run.plan import ScenePlan, make_plan
 from flows.run.scene import job_of
 from flows.worker import execute
@@ -208,3 +209,13 @@ def test_slots_without_a_library_say_so(tmp_path: Path, scan: Scan, cache: Path)
     rows, _, run = candidates_of(Lake.open(tmp_path / "lake"), scan, None)
     assert [(row.outcome, row.reason) for row in rows[:2]] == [("empty", "no library given")] * 2
     assert json.dumps(run.degradations).count("no library given") == 1
+
+
+def test_a_path_is_a_folder_even_where_the_lake_has_a_library_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    added(lake, write_models(tmp_path / "chairs"))
+    monkeypatch.chdir(tmp_path)
+    assert library_input(lake, given_library("chairs"), FileHashes()).startswith("chairs@")
+    by_path = {library_input(lake, given_library(text), FileHashes()) for text in ("./chairs", "chairs/", str(tmp_path / "chairs"))}
+    assert len(by_path) == 1
+    assert "@" not in by_path.pop()

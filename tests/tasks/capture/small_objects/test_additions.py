@@ -19,16 +19,19 @@ from tasks.capture import CaptureConfig, find_scans, run
 from tasks.capture.instances.rows import scanned_solid
 from tasks.capture.instances.views import run_lengths
 from tasks.capture.labels import label_map
+from tasks.capture.reading import Group
 from tasks.capture.scenes import read_scan
-from tasks.capture.small_objects.additions import SmallObjectsConfig, Unsought, with_small_objects
+from tasks.capture.small_objects.additions import Making, SmallObjectsConfig, Unsought, with_small_objects
 from tasks.capture.small_objects.classical import ClassicalConfig
 from tasks.capture.small_objects.consensus import ConsensusConfig
 from tasks.capture.small_objects.detectors import CommandedDetector, GroundingDino
 from tasks.capture.small_objects.items import AskedItems
+from tasks.capture.small_objects.joining import NewInstance
 from tasks.capture.small_objects.learned import LearnedConfig
 from tasks.capture.small_objects.segmenters import Sam2
-from tasks.geometry.meshes import load_glb, read_points, surface_of
-from tasks.geometry.transforms import inverse, matrix, transform_points, yaw_pose
+from tasks.capture.small_objects.supports import SupportSlab
+from tasks.geometry.meshes import Surface, load_glb, read_points, surface_of
+from tasks.geometry.transforms import inverse, matrix, transform_points, translation, yaw_pose
 from tasks.stage import Context, Outcome
 from tests.capture_scans import OBJECTS, SCAN_FROM_WORLD, BoxRoom, box_room, write_scannet
 from tests.tasks.calls.servers import Server, refuses, says, server
@@ -208,8 +211,8 @@ def test_boxes_are_to_the_instances_frame(tmp_path: Path, room: BoxRoom) -> None
     assert low == pytest.approx(TABLE[1][2] + 0.5 * TABLE[2][2], abs=0.01)
 
 
-def by_color(folder: Path, color: np.ndarray) -> str:
-    """A program that detects what is painted in a color, and draws its mask; a command line that calls it."""
+def by_color(folder: Path, color: np.ndarray, label: str = "book") -> str:
+    """A program that detects what is painted in a color, and draws its mask; a command line that calls it. label: What it says it is."""
     program = folder / "detects.py"
     program.write_text(f"""import json, sys
 import numpy as np
@@ -224,7 +227,7 @@ if mask.sum() > 20:
     flat = np.concatenate([[False], mask.T.ravel(), [not mask.T.ravel()[-1]]])
     runs = np.diff(np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1])]))
     found["boxes"].append([int(v) for v in (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)])
-    found["labels"].append("book")
+    found["labels"].append({label!r})
     found["scores"].append(0.75)
     found["masks"].append({{"size": list(mask.shape), "counts": [int(v) for v in runs]}})
 json.dump(found, open(sys.argv[3], "w"))
@@ -245,6 +248,31 @@ def test_a_program_of_others_finds_it_by_name(tmp_path: Path, room: BoxRoom) -> 
     assert found.category == "book"
     assert found.category_probability == pytest.approx(0.75, abs=0.01)
     assert "1 small object that the scan does not name was found by command:painter" in outcome.degradations
+
+
+@pytest.mark.parametrize("label", ["wall", "window"])
+def test_nobody_finds_a_wall_on_a_table(tmp_path: Path, room: BoxRoom, label: str) -> None:
+    color = room.surface.colors[room.instance == len(room.labels) - 1][0]
+    detector = CommandedDetector(command=by_color(tmp_path, color, label), model="painter", draws_masks=True)
+    outcome = captured(write_scannet(tmp_path / "scene0001_00", room, labels=room.labels[:-1]), learned(detector=detector))
+    found = one_found(outcome, "command:painter")
+    assert (found.category, found.is_structure) == ("object", False)
+
+
+def test_the_next_board_is_none_of_what_stands_below_it() -> None:
+    """A book that reaches up to a centimeter below a board takes no vertex of it, nor of its own board."""
+    grid = np.stack(np.meshgrid(np.arange(-0.3, 0.3, 0.02), np.arange(-0.1, 0.1, 0.02)), -1).reshape(-1, 2)
+    boards = np.concatenate([np.column_stack([grid, np.full(len(grid), z)]) for z in (0.5, 0.83)])
+    book = np.stack(np.meshgrid(np.arange(0, 0.05, 0.01), np.arange(-0.08, 0.08, 0.01), np.arange(0.5, 0.82, 0.01)), -1).reshape(-1, 3)
+    world = Surface(np.concatenate([boards, book[::3]]), np.zeros((0, 3), np.int64), np.zeros((len(boards) + len(book[::3]), 3), np.uint8))
+    group = Group("7", "bookshelf", np.arange(len(world.vertices)), np.zeros(0, np.int64))
+    slab = SupportSlab(translation([0.0, 0.0, 0.5]), np.array([-0.35, -0.15, -0.03]), np.array([0.35, 0.15, 0.305]), np.array([0.3, 0.1]))
+    found = NewInstance("0001", "book", 0.9, "classical", "0000", book, np.zeros((len(book), 3), np.uint8), {})
+    making = Making([group], [label_map(None)["bookshelf"]], [scanned_solid(world, group)], world, [book], 0.02)
+    number = making.add(0, found, (slab,), label_map(None))
+    own = making.groups[number].vertices
+    assert own.min() >= len(boards), "a board's"
+    assert len(own) > 0.9 * (book[::3][:, 2] > 0.52).sum()
 
 
 @pytest.mark.whole

@@ -143,6 +143,21 @@ def test_every_voxel_keeps_one_point(seed: int) -> None:
     assert len(kept) == len(cells) == len({tuple(row) for row in np.floor(kept / 0.02).astype(int).tolist()})
 
 
+def test_what_the_color_image_does_not_show_is_in_no_mask() -> None:
+    """Depth sees twice as wide as color: pixels beside it have no color, and no part in a mask at its border."""
+    color = np.full((48, 32, 3), 90, np.uint8)
+    depth = np.full(SIZE, 1.5, np.float32)
+    fx, fy, cx, cy = LENS
+    frame = FrameSource("000007", "c", "d", 32, 48, (fx, fy, cx, cy), (64, 48), LENS, 1000.0, np.eye(4), lambda: color, lambda: depth)
+    seen = depth_view(frame, np.eye(4))
+    assert seen is not None
+    assert (seen.depth[:, :32] == 1.5).all()
+    assert not seen.depth[:, 32:].any()
+    small = at_depth(np.ones((48, 32), bool), frame)
+    assert small[:, :32].all()
+    assert not small[:, 32:].any()
+
+
 def test_frames_of_two_cameras_show_one_thing() -> None:
     """Color at twice the resolution of depth: a mask there and back covers what it did, and colors are those of the pixels."""
     color = np.zeros((96, 128, 3), np.uint8)
