@@ -15,9 +15,6 @@ from tasks.library.library import OpenLibrary
 if TYPE_CHECKING:
     import trimesh
 
-BARE = IndexConfig(thumbnails=1, thumbnail_px=16)
-"""Nobody looks at the pictures."""
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ShelvedModel:
@@ -56,5 +53,5 @@ def models_in(folder: Path | str | None) -> list[ShelvedModel]:
     """The models of a folder by their files' names, each of those that are the same once; none where no folder is named."""
     if folder is None:
         return []
-    library = library_in(Path(folder), BARE, {})
+    library = library_in(Path(folder), IndexConfig(), {})
     return [ShelvedModel(file, library) for file in library.search.files]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bench.models.rooms import asked, query_rooms
 from bench.realdata import MODELS
-from bench.shelves import BARE, ShelvedModel, models_in
+from bench.shelves import ShelvedModel, models_in
 from schemas.budget import BUDGET
 from schemas.files import read_file
 from tasks.candidates.request import CandidateRequest
@@ -27,7 +27,7 @@ from tasks.furniture import generate
 from tasks.geometry.meshes import dump_glb
 from tasks.library.catalog import catalog_of
 from tasks.library.entry import IndexEntry
-from tasks.library.indexing import ModelIndex, index_folder
+from tasks.library.indexing import IndexConfig, ModelIndex, index_folder
 from tasks.library.search import LibraryQuery, LibrarySearch
 
 TUNED, HELD_OUT = (1, 2), (3, 4)
@@ -99,7 +99,7 @@ def measured(realdata: Path, seeds: Sequence[int] = HELD_OUT, distractors: int =
         with tempfile.TemporaryDirectory(prefix="library-", ignore_cleanup_errors=True) as place:
             folder = Path(place)
             write_library(realdata / MODELS, folder, distractors, seed)
-            made = index_folder(folder, catalog_of(folder), BARE, {})
+            made = index_folder(folder, catalog_of(folder), IndexConfig(), {})
             queries = queries_of(models_in(realdata / MODELS), seed)
             search = LibrarySearch.of(made.entries)
             places.append(_places(queries, search, {entry.file: entry.category for entry in made.entries}))

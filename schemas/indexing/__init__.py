@@ -47,8 +47,8 @@ class LibraryModel:
     vertex_count: int = column("Vertices of the model", minimum=4)
     face_count: int = column("Faces of the model", minimum=4)
     volume_m3: float = column("Volume of the solid, of its convex hull when it is not closed", unit="m3", minimum=0)
-    is_closed: bool = column("Its surface bounds a solid")
-    open_because: str | None = column("Why its surface bounds none")
+    is_watertight: bool = column("The asset's mesh is closed")
+    open_reason: str | None = column("Why it is not closed: edges of one face, or of more than two")
     has_texture: bool = column("It has a picture on it")
     duplicate_of: str | None = column("The first file that holds the same; null for that one")
     duplicate_by: str | None = column("What is the same: all bytes, or the geometry, whatever its colors", values=("bytes", "geometry"))
@@ -56,9 +56,8 @@ class LibraryModel:
     notes: tuple[str, ...] = column("What is odd or missing, a line each")
     asset_id: str = column("Asset that candidates are given", pattern=HASH)
     model_blob: str = column("The asset: canonical GLB, +Z up, metres, origin at the bottom center", blob=True)
-    thumbnail_blob: str = column("Picture from the front, PNG", blob=True)
-    entry_blob: str = column("Entry of the index, JSON: descriptors, vectors, all thumbnails", blob=True)
-    pieces_key: str = column("Hash of the geometry, by which convex pieces are remembered", pattern=HASH)
+    thumbnail_blob: str = column("Small picture of the asset, PNG", blob=True)
+    entry_blob: str = column("Entry of the index, JSON: descriptors and vectors", blob=True)
 
 
 @record("refused_models", key=("library", "file"), stage="indexing", grain="library")

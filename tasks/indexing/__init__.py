@@ -29,7 +29,8 @@ class ModelsFolder:
 def run(*, models_folder: ModelsFolder, context: Context, config: IndexConfig) -> Outcome:
     """The models of a folder, and what was refused of it. Files that were indexed before on this machine are remembered by content."""
     catalog, shelf = models_folder.catalog, models_folder.shelf
-    index = index_folder(models_folder.folder, catalog, config, context.caches["tasks.library.indexing"], context.spread, shelf)
+    store, cut = context.caches["tasks.library.indexing"], context.caches["tasks.geometry.pieces"] if config.pieces else None
+    index = index_folder(models_folder.folder, catalog, config, store, context.spread, shelf, cut)
     models = [model_row(context.scene_id, entry) for entry in index.entries]
     refused = [_refused_row(context.scene_id, file, reason) for file, reason in index.refused.items()]
     return Outcome(
@@ -47,10 +48,10 @@ def model_row(library: str, entry: IndexEntry) -> LibraryModel:
         up=entry.up, up_known=entry.up_known, front=entry.front or None, category=entry.category, category_known=entry.category_known,
         name=entry.name, license=entry.license, is_noncommercial=entry.is_noncommercial, author=entry.author or None,
         source_url=entry.source_url or None, extents=entry.extents, vertex_count=entry.vertex_count, face_count=entry.face_count,
-        volume_m3=asset.volume_m3, is_closed=entry.is_closed, open_because=entry.open_because or None, has_texture=entry.has_texture,
+        volume_m3=asset.volume_m3, is_watertight=asset.is_watertight, open_reason=asset.open_reason, has_texture=entry.has_texture,
         duplicate_of=entry.duplicate_of or None, duplicate_by=entry.duplicate_by or None, weights=entry.weights or None, notes=entry.notes,
         asset_id=asset.asset_id, model_blob=asset.mesh_blob, thumbnail_blob=asset.thumbnail_blob,
-        entry_blob=f"{_sha256(dumped(bare))}.json", pieces_key=entry.pieces_key,
+        entry_blob=f"{_sha256(dumped(bare))}.json",
     )  # fmt: skip
 
 

@@ -25,13 +25,11 @@ class IndexEntry:
     file: Path relative to the library, forward slashes. content: Hash of the file and all that it draws on, 64 hex digits.
     format: glb, obj or usd. unit_m: Metres per unit of the file [m]; up, front: its axes; front is '' where nobody says. `*_known`: How,
     `file`, `metadata`, `plausibility` or `assumed`. category_known: `lvis`, `tags`, `name`, `product_type`, `index` ... or `file name`.
-    license: SPDX where there is one. extents: Of the canonical model along x, y, z [m]. open_because: Why its surface is not closed,
-    '' where it is. descriptor, field: What it is found by. signature: What equal geometry has in common, shape (34,).
-    asset: The asset that candidates are given: its canonical GLB is made of the file again, or lies where the index was made. charts: How
-    its texture is laid out, as far as that is known.
-    thumbnails: PNGs from around, the first from the front. image_vectors: Of pictures from around, shape (k, d), and text_vector: of its
-    name and category, shape (d,), by the model `weights` (a hash), where one was named. pieces_key: What convex pieces are cached by.
-    notes: What is odd or missing, a line each. duplicate_of: The file that holds the same, '' for the first; duplicate_by: `bytes`, or
+    license: SPDX where there is one. extents: Of the canonical model along x, y, z [m]. descriptor, field: What it is found by.
+    signature: What equal geometry has in common, shape (34,). image_vectors: Of pictures from around, shape (k, d), and text_vector: of
+    its name and category, shape (d,), by the model `weights` (a hash), where one was named. asset: What candidates are given: its files
+    are made of the model's again, or lie where the index was made. charts: How its texture is laid out, as far as that is known. notes:
+    What is odd or missing, a line each. duplicate_of: The file that holds the same, '' for the first; duplicate_by: `bytes`, or
     `geometry`, whatever its colors.
     """
 
@@ -54,26 +52,18 @@ class IndexEntry:
     extents: tuple[float, float, float]
     vertex_count: int
     face_count: int
-    open_because: str
     has_texture: bool
     descriptor: Descriptor
     field: SurfaceField
     signature: Vectors
-    thumbnails: tuple[bytes, ...]
     image_vectors: Vectors | None
     text_vector: Vectors | None
     weights: str
-    pieces_key: str
     asset: Asset
     charts: TextureCharts | None
     notes: tuple[str, ...]
     duplicate_of: str = ""
     duplicate_by: str = ""
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether its surface bounds a solid."""
-        return not self.open_because
 
 
 _ARRAYS = {"descriptor": Descriptor, "field": SurfaceField}
@@ -124,8 +114,6 @@ def _filled(name: str, value: Any) -> Any:
         return Asset(**stated)
     if name in _ARRAYS:
         return _ARRAYS[name](**{key: _array(item) for key, item in value.items()})
-    if name == "thumbnails":
-        return tuple(base64.b64decode(item) for item in value)
     if isinstance(value, dict):
         return _array(value)
     return tuple(value) if isinstance(value, list) else value

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from schemas.candidates import Asset
 from schemas.errors import InputError, LakeError
 from schemas.text import one_line
-from tasks.candidates.assets import MAX_EXTENT_M, MAX_FACES, MIN_EXTENT_M, MadeAsset, charted, decimated, make_asset
+from tasks.candidates.assets import MAX_EXTENT_M, MIN_EXTENT_M, MadeAsset, charted, make_asset
 from tasks.captions.physics import known_name
-from tasks.geometry.meshes import Surface, sample_surface, surface_of
-from tasks.geometry.triangles import is_closed, welded
+from tasks.geometry.meshes import load_glb, sample_surface, surface_of
+from tasks.geometry.pieces import PieceConfig, asset_pieces
 from tasks.library.catalog import Catalog
 from tasks.library.categories import category_of
 from tasks.library.descriptors import describe
@@ -34,7 +34,7 @@ from tasks.library.metadata import ModelFacts
 from tasks.library.units import canonical_parts, convention_of
 from tasks.selection.methods.encoders import weights_digest
 from tasks.settings import Config, Count
-from tasks.views.pictures import around, png_of
+from tasks.views.pictures import around
 
 if TYPE_CHECKING:
     import trimesh
@@ -50,10 +50,9 @@ PITCHES_RADIANS = (0.35,)
 class IndexConfig(Config):
     """What an entry holds. The index depends on it: another config makes other entries."""
 
-    version: str = "2"  # goes up when the same file would make another entry
-    thumbnails: Count = 4  # front, back and sides
-    thumbnail_px: Count = 96  # a contact sheet of a page has ten columns of these
+    version: str = "3"  # goes up when the same file would make another entry
     views: Count = 8  # pictures that are embedded: quarters and what lies between, so that one comes near to any photograph
+    pieces: bool = False  # convex pieces are cut now and remembered, up to 10 s a model; else when a scene first holds it
     weights: str = ""  # folder of CLIP or SigLIP; none ships, and without one entries have no vectors
 
 
@@ -111,10 +110,9 @@ def index_file(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, c
         up_known=convention.up_known, front=convention.front, front_known=convention.front_known, category=category,
         category_known=category_known, name=name, license=facts.license.name, is_noncommercial=facts.license.is_noncommercial,
         author=facts.author, source_url=facts.source_url, extents=(x, y, z), vertex_count=len(surface.vertices),
-        face_count=len(surface.faces), open_because=open_because(surface),
-        has_texture=any(getattr(part.visual, "kind", None) == "texture" for part in parts), descriptor=descriptor, field=field_of(points),
-        signature=signature_of(surface.vertices), thumbnails=_thumbnails(parts, config), image_vectors=vectors, text_vector=text,
-        weights=weights, pieces_key=geometry_key(surface), asset=made.asset, charts=made.charts,
+        face_count=len(surface.faces), has_texture=bool(made.asset.has_texture),
+        descriptor=descriptor, field=field_of(points), signature=signature_of(surface.vertices), image_vectors=vectors, text_vector=text,
+        weights=weights, asset=made.asset, charts=made.charts,
         notes=tuple(note for note in (*model.notes, convention.note) if note),
     )  # fmt: skip
     return entry, made
@@ -141,38 +139,21 @@ PROVIDER = "library"
 """The candidate provider that offers what is indexed."""
 
 
-def open_because(surface: Surface) -> str:
-    """Why a surface bounds no solid once equal corners are one; '' where it does."""
-    _, place = welded(surface.vertices, 7)
-    faces = place[surface.faces]
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-    if is_closed(surface.faces) or is_closed(faces):
-        return ""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, times = np.unique(edges, axis=0, return_counts=True)
-    free, shared = int((times == 1).sum()), int((times > 2).sum())
-    return f"{free} of {len(times)} edges have one face" if free else f"{shared} of {len(times)} edges have three faces or more"
-
-
-def geometry_key(surface: Surface) -> str:
-    """Hash of vertices in metres to a micrometre and of faces, 64 hex digits: convex pieces depend on nothing else."""
-    vertices = np.round(surface.vertices * 1e6).astype("<i8")
-    return hashlib.sha256(vertices.tobytes() + surface.faces.astype("<i8").tobytes()).hexdigest()
-
-
 def entry_key(content: str, facts: ModelFacts, file: str, config: IndexConfig, weights: str) -> str:
     """What an entry is remembered by: the file's content, name and facts, the code's version and settings, and the model's hash."""
-    settings = dataclasses.asdict(config) | {"weights": weights}
+    settings = dataclasses.asdict(config) | {"weights": weights, "pieces": None}  # which are no part of an entry
     text = json.dumps([content, file, dataclasses.asdict(facts), settings], sort_keys=True, default=str)
     return f"entry-{hashlib.sha256(text.encode('utf-8', 'surrogatepass')).hexdigest()}"
 
 
 def index_remembered(
-    path: Path, root: Path, facts: ModelFacts, config: IndexConfig, store: MutableMapping[str, bytes], shelf: Shelf | None = None
-) -> IndexEntry | str:
+    path: Path, root: Path, facts: ModelFacts, config: IndexConfig, store: MutableMapping[str, bytes], shelf: Shelf | None = None,
+    cut: MutableMapping[str, bytes] | None = None,
+) -> IndexEntry | str:  # fmt: skip
     """The entry of a file out of the store, or made and put there; or why it has none, which is remembered likewise.
 
-    shelf: Where the asset's GLB goes, the entry (as JSON) and its first thumbnail; None keeps none of them.
+    shelf: Where the asset's files go, and the entry as JSON; None keeps none of them. cut: Where convex pieces of assets are remembered,
+    as the stages that ask for them do; None cuts none.
     """
     file = path.relative_to(root).as_posix()
     try:
@@ -187,7 +168,7 @@ def index_remembered(
             return kept[len(REFUSED) :].decode()
         try:
             entry = loaded(kept)
-            _shelve(entry, lambda: entry_asset(entry, root, facts), shelf)
+            _shelve(entry, lambda: entry_asset(entry, root, facts), shelf, cut)
             return entry
         except (LakeError, OSError, ValueError):  # a store that was cut off, or of other code
             pass
@@ -197,13 +178,18 @@ def index_remembered(
         reason = _reason(error, file, root)
         store[key] = REFUSED + reason.encode()
         return reason
-    _shelve(entry, lambda: made, shelf)
+    _shelve(entry, lambda: made, shelf, cut)
     store[key] = dumped(entry)
     return entry
 
 
-def _shelve(entry: IndexEntry, made: Callable[[], MadeAsset], shelf: Shelf | None) -> None:
+def _shelve(
+    entry: IndexEntry, made: Callable[[], MadeAsset], shelf: Shelf | None, cut: MutableMapping[str, bytes] | None
+) -> None:  # fmt: skip
     """Put what belongs to an entry where it is to lie, as far as it is not there."""
+    if cut is not None:
+        asset = entry.asset
+        asset_pieces(asset.asset_id, lambda: load_glb(made().files[asset.mesh_blob], entry.file), None, PieceConfig(), cut)
     if shelf is None:
         return
     missing = [name for name in asset_blobs(entry.asset) if not shelf.refresh(name)]
@@ -230,9 +216,9 @@ Spread = Callable[[Callable[[ListedFile], "IndexEntry | str"], Sequence[ListedFi
 
 def index_folder(
     folder: Path, catalog: Catalog, config: IndexConfig, store: MutableMapping[str, bytes], spread: Spread = map,
-    shelf: Shelf | None = None,
+    shelf: Shelf | None = None, cut: MutableMapping[str, bytes] | None = None,
 ) -> ModelIndex:  # fmt: skip
-    """The index of all models below a folder. What the store has is not computed again. shelf: See `index_remembered`.
+    """The index of all models below a folder. What the store has is not computed again. shelf, cut: See `index_remembered`.
 
     Raises:
         InputError: there is no such folder, or the config names weights that cannot be used.
@@ -243,7 +229,7 @@ def index_folder(
     refused = dict(_named(line).split(": ", 1) for line in unused)
     listed = [(path, catalog.of(path.relative_to(folder).as_posix())) for path in files]
     entries = []
-    for path, made in zip(files, spread(_Work(folder, config, store, shelf), listed), strict=True):
+    for path, made in zip(files, spread(_Work(folder, config, store, shelf, cut), listed), strict=True):
         if isinstance(made, str):
             refused[_named(path.relative_to(folder).as_posix())] = made
         else:
@@ -262,10 +248,11 @@ class _Work:
     config: IndexConfig
     store: MutableMapping[str, bytes]
     shelf: Shelf | None
+    cut: MutableMapping[str, bytes] | None
 
     def __call__(self, listed: ListedFile) -> IndexEntry | str:
         path, facts = listed
-        return index_remembered(path, self.folder, facts, self.config, self.store, self.shelf)
+        return index_remembered(path, self.folder, facts, self.config, self.store, self.shelf, self.cut)
 
 
 def entry_parts(entry: IndexEntry, folder: Path, facts: ModelFacts) -> list[trimesh.Trimesh]:
@@ -314,18 +301,6 @@ def _vectors(parts: list[trimesh.Trimesh], name: str, category: str, config: Ind
     encoder = encoder_in(config.weights)
     pictures = encoder.images(around(parts, config.views, PITCHES_RADIANS, encoder.side))
     return pictures, encoder.texts([f"A photo of a {category}: {name}."])[0], weights_digest(config.weights)
-
-
-def _thumbnails(parts: list[trimesh.Trimesh], config: IndexConfig) -> tuple[bytes, ...]:
-    """Pictures from around as PNG."""
-    pictures = around(_lighter(parts), config.thumbnails, PITCHES_RADIANS, config.thumbnail_px)
-    return tuple(png_of(picture) for picture in pictures)
-
-
-def _lighter(parts: list[trimesh.Trimesh]) -> list[trimesh.Trimesh]:
-    """Parts with no more faces than an asset may have."""
-    surface = surface_of(parts)
-    return parts if len(surface.faces) <= MAX_FACES else [decimated(surface, MAX_FACES).to_trimesh()]
 
 
 def _reason(error: Exception, file: str, root: Path) -> str:

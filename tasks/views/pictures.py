@@ -24,7 +24,7 @@ FOV_RADIANS = 0.6
 DRAWN = 1.5
 """Pictures are drawn this much larger than asked for, then cut out and shrunk."""
 
-THUMBNAIL_PX = 64
+THUMBNAIL_PX = 96
 """Side of a thumbnail: ten of them fit beside each other, and one takes a few milliseconds."""
 
 THUMBNAIL_TURN_RADIANS, THUMBNAIL_PITCH_RADIANS = 0.6, 0.4

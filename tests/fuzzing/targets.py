@@ -99,7 +99,7 @@ def _read_library(folder: Path) -> None:
     from tasks.library.folder import library_in
     from tasks.library.indexing import IndexConfig
 
-    library = library_in(folder, IndexConfig(thumbnails=1, thumbnail_px=16), {})
+    library = library_in(folder, IndexConfig(), {})
     for file in library.search.files:
         with contextlib.suppress(LakeError):  # of a file that changed meanwhile
             library.asset_of(file)
@@ -113,7 +113,7 @@ def _read_models_folder(folder: Path) -> None:
     from tests.tasks.indexing.test_indexing import Files
 
     catalog = catalog_of(folder / "models", sorted(path for path in folder.glob("*") if path.is_file()))
-    config = IndexConfig(thumbnails=1, thumbnail_px=16)
+    config = IndexConfig()
     run(models_folder=ModelsFolder(folder / "models", catalog, Files()), context=Context("models", "indexing", 0, {}), config=config)
 
 

@@ -20,8 +20,8 @@ SELECT
     100 + below(asset_id, 'vertices', 20000) AS vertex_count,
     200 + below(asset_id, 'faces', 40000) AS face_count,
     volume * 0.3 AS volume_m3,
-    u(asset_id, 'closed') < 0.9 AS is_closed,
-    CASE WHEN u(asset_id, 'closed') >= 0.9 THEN '12 of 900 edges have one face' END AS open_because,
+    u(asset_id, 'closed') < 0.9 AS is_watertight,
+    CASE WHEN u(asset_id, 'closed') >= 0.9 THEN '12 edges of one face' END AS open_reason,
     u(asset_id, 'texture') < 0.3 AS has_texture,
     NULL AS duplicate_of,
     NULL AS duplicate_by,
@@ -30,7 +30,6 @@ SELECT
     asset_id,
     asset_id || '.glb' AS model_blob,
     digest('thumbnail', asset_id) || '.png' AS thumbnail_blob,
-    digest('entry', asset_id) || '.json' AS entry_blob,
-    digest('geometry', asset_id) AS pieces_key
+    digest('entry', asset_id) || '.json' AS entry_blob
 FROM (SELECT *, exp(log_volume + log_spread * normal(asset_id, 'volume')) AS volume, cbrt(volume) AS size FROM library)
 WHERE getvariable('part') = 1

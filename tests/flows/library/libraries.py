@@ -10,8 +10,6 @@ from tasks.library.indexing import IndexConfig
 from tests.tasks.library.models import as_glb, as_obj, chair
 from warehouse.lake import Lake
 
-SMALL = IndexConfig(thumbnails=1, thumbnail_px=24)
-
 
 def write_models(folder: Path) -> Path:
     """Chairs, one twice and one in centimetres, a list of them, and a file that is broken."""
@@ -25,6 +23,6 @@ def write_models(folder: Path) -> Path:
     return folder
 
 
-def added(lake: Lake, folder: Path, name: str = "chairs", config: IndexConfig = SMALL, processes: int = 1) -> LibraryContents:
+def added(lake: Lake, folder: Path, name: str = "chairs", config: IndexConfig | None = None, processes: int = 1) -> LibraryContents:
     """A folder as a library of a lake."""
-    return add_library(lake, planned_library(lake, folder, name, (), config, processes))
+    return add_library(lake, planned_library(lake, folder, name, (), config or IndexConfig(), processes))

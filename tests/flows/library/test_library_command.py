@@ -20,7 +20,8 @@ from schemas.indexing import IndexedLibrary
 from schemas.runs import StageRun
 from schemas.tables import TABLES
 from tasks.indexing import STAGE
-from tests.flows.library.libraries import SMALL, added, write_models
+from tasks.library.indexing import IndexConfig
+from tests.flows.library.libraries import added, write_models
 from tests.tasks.library.models import as_glb, chair
 from warehouse.lake import Lake
 from warehouse.tables.digest import digests
@@ -47,7 +48,7 @@ def told(*words: object) -> str:
 @pytest.mark.whole
 def test_a_folder_becomes_a_library_and_goes_again(tmp_path: Path, folder: Path) -> None:
     lake = tmp_path / "lake"
-    at = ("--lake", lake, "--set", "indexing.thumbnail_px=24")
+    at = ("--lake", lake, "--set", "indexing.views=2")
     assert "new" in told("library", "add", folder, "--dry-run", *at)
     assert not lake.exists()
     done = asked("library", "add", folder, "--processes", 1, *at)
@@ -108,7 +109,7 @@ def test_the_same_folder_again_brings_what_changed(tmp_path: Path, folder: Path)
     (folder / "b_chair.glb").unlink()
     (folder / "d_chair.glb").write_bytes(as_glb(chair(7)))
     (folder / "broken.glb").write_bytes(as_glb(chair(8)))
-    planned = planned_library(lake, folder, "chairs", (), SMALL, 1)
+    planned = planned_library(lake, folder, "chairs", (), IndexConfig(), 1)
     assert planned.why == "files changed"
     second = add_library(lake, planned)
     assert [row.file for row in second.models] == ["a_chair.glb", "broken.glb", "c_chair.obj", "d_chair.glb"]
@@ -147,22 +148,22 @@ def test_libraries_stand_side_by_side_and_vacuum_takes_what_nothing_names(tmp_pa
 def test_a_folder_that_nobody_can_use_is_one_line(tmp_path: Path, folder: Path) -> None:
     lake = Lake.open(tmp_path / "lake")
     with pytest.raises(InputError, match="is no name"):
-        planned_library(lake, folder, "a/b", (), SMALL, 1)
+        planned_library(lake, folder, "a/b", (), IndexConfig(), 1)
     with pytest.raises(InputError, match="is no folder"):
-        planned_library(lake, tmp_path / "nowhere", "", (), SMALL, 1)
+        planned_library(lake, tmp_path / "nowhere", "", (), IndexConfig(), 1)
     (tmp_path / "odd.json").write_text("{")
     with pytest.raises(InputError, match=r"^odd.json: content"):
-        planned_library(lake, folder, "", (tmp_path / "odd.json",), SMALL, 1)
+        planned_library(lake, folder, "", (tmp_path / "odd.json",), IndexConfig(), 1)
 
 
 def test_what_a_dead_process_staged_is_taken_in_and_not_made_again(tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from flows.library import adding
 
     lake = Lake.open(tmp_path / "lake")
-    planned = planned_library(lake, folder, "chairs", (), SMALL, 1)
+    planned = planned_library(lake, folder, "chairs", (), IndexConfig(), 1)
     assert adding.execute(planned.job).error is None
     assert lake.snapshot().rows(IndexedLibrary) == []
-    again = planned_library(lake, folder, "chairs", (), SMALL, 1)
+    again = planned_library(lake, folder, "chairs", (), IndexConfig(), 1)
     assert again.is_known
     monkeypatch.setattr(adding, "execute", lambda *_: pytest.fail("indexed again"))
     assert len(add_library(lake, again).models) == 3
@@ -172,9 +173,9 @@ def test_two_that_staged_the_same_library_leave_one(tmp_path: Path, folder: Path
     from flows.library.adding import execute
 
     lake = Lake.open(tmp_path / "lake")
-    execute(planned_library(lake, folder, "chairs", (), SMALL, 1).job)
+    execute(planned_library(lake, folder, "chairs", (), IndexConfig(), 1).job)
     (folder / "a_chair.glb").unlink()
-    execute(planned_library(lake, folder, "chairs", (), SMALL, 1).job)
+    execute(planned_library(lake, folder, "chairs", (), IndexConfig(), 1).job)
     lake.commit()
     assert [row.file for row in contents_of(lake.snapshot(), "chairs").models] == ["b_chair.glb", "c_chair.obj"]
     assert inspect(lake).errors == ()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -23,10 +22,11 @@ from tasks.candidates.request import CandidateRequest
 from tasks.candidates.retrieval import Retrieval
 from tasks.capture.scan import Scan
 from tasks.library.embeddings import encoder_in
+from tasks.library.indexing import IndexConfig
 from tasks.library.search import SearchWeights
 from tasks.selection.methods.encoders import weights_digest
 from tasks.stage import Context
-from tests.flows.library.libraries import SMALL, added, write_models
+from tests.flows.library.libraries import added, write_models
 from tests.flows.library.test_library_runs import SETTINGS, STAGES, cache, scan
 from tests.tasks.library.test_library_embeddings import siglip_folder
 from tests.tasks.selection.test_foreign_methods import clip_folder
@@ -56,7 +56,7 @@ def computed(lake: Lake, scan: Scan, encoder: str) -> StageRun:
 
 def test_scores_are_of_vectors_of_caption_and_view(tmp_path: Path, cache: Path, scan: Scan, weights: str) -> None:
     lake = Lake.open(tmp_path / "lake")
-    contents = added(lake, write_models(tmp_path / "models"), config=dataclasses.replace(SMALL, views=2, weights=weights))
+    contents = added(lake, write_models(tmp_path / "models"), config=IndexConfig(views=2, weights=weights))
     assert {contents.library.weights, *(row.weights for row in contents.models)} == {weights_digest(weights)}
     run = computed(lake, scan, weights)
     assert (run.error, run.degradations) == (None, ())
@@ -93,13 +93,13 @@ def test_scores_are_of_vectors_of_caption_and_view(tmp_path: Path, cache: Path, 
 
 def test_another_model_is_refused_and_none_is_told(tmp_path: Path, cache: Path, scan: Scan, clip_folder: Path, siglip_folder: Path) -> None:
     lake, folder = Lake.open(tmp_path / "lake"), write_models(tmp_path / "models")
-    added(lake, folder, config=dataclasses.replace(SMALL, views=2, weights=str(clip_folder)))
+    added(lake, folder, config=IndexConfig(views=2, weights=str(clip_folder)))
     run = computed(lake, scan, str(siglip_folder))
     assert (run.outcome, run.error_kind) == ("failed", "input")
     assert "candidates: encoder: is the model" in str(run.error)
     run = computed(lake, scan, "")
     assert run.error is None
     assert any("has vectors, which are compared where candidates.encoder names" in line for line in run.degradations)
-    planned = planned_library(lake, folder, "chairs", (), SMALL, 1)
+    planned = planned_library(lake, folder, "chairs", (), IndexConfig(), 1)
     assert planned.why == "config changed"
     assert add_library(lake, planned).library.weights is None

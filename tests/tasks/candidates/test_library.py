@@ -26,11 +26,9 @@ from tests import attacks
 from tests.tasks.candidates.crops import crop_of_parts
 from tests.tasks.candidates.libraries import write_library
 
-BARE = IndexConfig(thumbnails=1, thumbnail_px=16)
-
 
 def opened(folder: Path) -> OpenLibrary:
-    return library_in(folder, BARE, {})
+    return library_in(folder, IndexConfig(), {})
 
 
 def test_a_library_is_opened_whatever_lies_in_it(tmp_path: Path) -> None:

@@ -22,7 +22,6 @@ from tasks.library.library import OpenLibrary
 from tasks.library.search import LibraryMatch, LibraryQuery, LibrarySearch, SearchWeights
 from tests.tasks.library.entries import drawn
 
-BARE = IndexConfig(thumbnails=1, thumbnail_px=16)
 SIDES = (-0.3, -0.5)
 """Least x and z of the normals of what a scan sees: it walks round three sides and looks down."""
 
@@ -54,7 +53,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> OpenLibrary:
     folder = tmp_path_factory.mktemp("library")
     for number, (category, size) in enumerate(SIZES.items()):
         (folder / f"{category}.glb").write_bytes(dump_glb(generate(category, size, np.random.default_rng(number)).parts))
-    return library_in(folder, BARE, {})
+    return library_in(folder, IndexConfig(), {})
 
 
 def drawn_scan(category: str) -> tuple[np.ndarray, np.ndarray]:
@@ -81,7 +80,7 @@ def test_what_is_named_is_not_stood_in_for_by_what_only_looks_alike(library: Ope
 
 def test_a_mug_is_not_stood_in_for_by_a_bed(tmp_path: Path) -> None:
     (tmp_path / "bed.glb").write_bytes(dump_glb(generate("bed", SIZES["bed"], np.random.default_rng(0)).parts))
-    search = library_in(tmp_path, BARE, {}).search
+    search = library_in(tmp_path, IndexConfig(), {}).search
     for name in ("mug", "gizmo", ""):
         assert near(search, name, *drawn_scan("mug")) == []
     assert [match.file for match in near(search, "bed", *drawn_scan("bed"))] == ["bed.glb"]
@@ -116,7 +115,7 @@ def test_a_model_in_other_units_is_scaled_where_its_category_says_so(tmp_path: P
         part.apply_scale(factor)
     for name in ("chair", "gizmo"):
         (tmp_path / f"{name}.glb").write_bytes(dump_glb(parts))
-    library = library_in(tmp_path, BARE, {})
+    library = library_in(tmp_path, IndexConfig(), {})
     made = {file: library.asset_of(file).asset.extents for file in ("chair.glb", *(["gizmo.glb"] if 0.15 <= factor <= 39.37 else []))}
     assert np.allclose(made["chair.glb"], np.array(size) * factor * scale, rtol=1e-3)
     if "gizmo.glb" in made:  # nobody knows how large a gizmo is

@@ -25,8 +25,6 @@ from tasks.stage import Context, Outcome
 from tests import attacks
 from tests.tasks.library.models import as_glb, as_obj, chair
 
-SMALL = IndexConfig(thumbnails=2, thumbnail_px=24)
-
 
 class Files(dict[str, bytes]):
     """A shelf in memory."""
@@ -42,7 +40,7 @@ class Files(dict[str, bytes]):
 
 def indexed(folder: Path, files: Files, catalog: Catalog | None = None, **context: Any) -> Outcome:
     source = ModelsFolder(folder, catalog if catalog is not None else catalog_of(folder), files)
-    return run(models_folder=source, context=Context("models", STAGE.name, 0, {}, **context), config=SMALL)
+    return run(models_folder=source, context=Context("models", STAGE.name, 0, {}, **context), config=IndexConfig())
 
 
 @pytest.fixture(scope="module")

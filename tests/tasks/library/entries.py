@@ -35,9 +35,9 @@ def drawn(category: str, seed: int, file: str = "", **changes: object) -> IndexE
     entry = IndexEntry(
         file=file or f"{category}_{seed}.glb", content=f"{category} {seed}", format="glb", unit_m=1.0, unit_known="file", up="y",
         up_known="file", front="", front_known="assumed", category=category, category_known="index", name=category, license="CC0-1.0",
-        is_noncommercial=False, author="", source_url="", extents=(x, y, z), vertex_count=8, face_count=12, open_because="",
+        is_noncommercial=False, author="", source_url="", extents=(x, y, z), vertex_count=8, face_count=12,
         has_texture=False, descriptor=describe(points, colors, (x, y, z), np.random.default_rng(seed)), field=field_of(points),
-        signature=signature_of(points), thumbnails=(b"png",), image_vectors=None, text_vector=None, weights="", pieces_key="0" * 64,
+        signature=signature_of(points), image_vectors=None, text_vector=None, weights="",
         asset=sample(Asset, asset_id=hashlib.sha256(f"{category} {seed}".encode()).hexdigest(), pieces_blob=None, extents=(x, y, z)),
         charts=None,
         notes=("odd",),

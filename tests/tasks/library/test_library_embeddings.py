@@ -66,7 +66,7 @@ def test_siglip_is_what_transformers_makes_of_it(siglip_folder: Path) -> None:
 def test_entries_have_vectors_where_a_model_is_named(tmp_path: Path, weights: str) -> None:
     (tmp_path / "a_chair.glb").write_bytes(as_glb(chair()))
     (tmp_path / "b_chair.glb").write_bytes(as_glb(chair(5)))
-    config = IndexConfig(thumbnails=1, thumbnail_px=16, views=3, weights=weights)
+    config = IndexConfig(views=3, weights=weights)
     index = index_folder(tmp_path, Catalog({}), config, store := {})
     assert all(entry.image_vectors.shape[0] == 3 and len(entry.weights) == 64 for entry in index.entries)
     assert [dumped(entry) for entry in index_folder(tmp_path, Catalog({}), config, store).entries] == [

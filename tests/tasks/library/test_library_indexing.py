@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+import trimesh
 
 from schemas.errors import InputError
 from tasks.furniture import generate
@@ -21,12 +21,10 @@ from tasks.geometry.transforms import yaw_pose
 from tasks.library import indexing
 from tasks.library.catalog import Catalog, catalog_of
 from tasks.library.entry import dumped
-from tasks.library.indexing import IndexConfig, ModelIndex, entry_parts, index_folder, open_because, refused_first
+from tasks.library.indexing import IndexConfig, ModelIndex, entry_parts, index_folder, refused_first
 from tasks.library.metadata import ModelFacts
 from tests import attacks
 from tests.tasks.library.models import as_glb, as_obj, chair, farthest
-
-SMALL = IndexConfig(thumbnails=2, thumbnail_px=24)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +52,7 @@ CATALOG = {
 
 @pytest.fixture(scope="module")
 def index(folder: Path) -> ModelIndex:
-    return index_folder(folder, Catalog(CATALOG), SMALL, {})
+    return index_folder(folder, Catalog(CATALOG), IndexConfig(), {})
 
 
 def bytes_of(index: ModelIndex) -> list[bytes]:
@@ -77,10 +75,9 @@ def test_what_a_library_holds(folder: Path, index: ModelIndex) -> None:
     assert np.allclose(a.extents, (0.5, 0.55, 0.95), atol=1e-5)
     assert (c.unit_m, c.unit_known, c.up, c.up_known) == (0.01, "plausibility", "y", "assumed"), "turned, it is as broad as it is high"
     assert a.face_count == c.face_count == sum(len(part.faces) for part in chair())
-    assert a.is_closed
+    assert a.asset.is_watertight
     assert farthest(entry_parts(a, folder, ModelFacts()), chair()) < 1e-5
     for entry in entries.values():
-        assert [Image.open(__import__("io").BytesIO(png)).size for png in entry.thumbnails] == [(24, 24)] * 2
         assert entry.image_vectors is entry.text_vector is None
 
 
@@ -89,7 +86,7 @@ def test_an_entry_is_the_same_wherever_and_whenever_it_is_made(folder: Path, ind
         with ThreadPoolExecutor(2) as pool:
             return list(pool.map(work, reversed(list(files))))[::-1]
 
-    assert bytes_of(index_folder(folder, Catalog(CATALOG), SMALL, {}, in_threads)) == bytes_of(index)  # type: ignore[arg-type]
+    assert bytes_of(index_folder(folder, Catalog(CATALOG), IndexConfig(), {}, in_threads)) == bytes_of(index)  # type: ignore[arg-type]
 
 
 class Mortal(UserDict[str, bytes]):
@@ -112,7 +109,7 @@ def test_a_killed_indexing_goes_on_with_what_is_missing(folder: Path, index: Mod
     while True:
         store = Mortal(2, kept)
         try:
-            done = index_folder(folder, Catalog(CATALOG), SMALL, store)
+            done = index_folder(folder, Catalog(CATALOG), IndexConfig(), store)
             break
         except KeyboardInterrupt:
             assert len(store) > len(kept)
@@ -125,7 +122,7 @@ def test_a_killed_indexing_goes_on_with_what_is_missing(folder: Path, index: Mod
         raise AssertionError("made again")
 
     monkeypatch.setattr(indexing, "index_file", never)
-    assert bytes_of(index_folder(folder, Catalog(CATALOG), SMALL, dict(store.data))) == bytes_of(index)
+    assert bytes_of(index_folder(folder, Catalog(CATALOG), IndexConfig(), dict(store.data))) == bytes_of(index)
 
 
 def test_only_what_changed_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,9 +131,9 @@ def test_only_what_changed_is_made_again(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(indexing, "index_file", lambda path, *rest: made.append(path.name) or index_file(path, *rest))
     store: dict[str, bytes] = {}
 
-    def index_now(facts: dict[str, ModelFacts], config: IndexConfig = SMALL) -> list[str]:
+    def index_now(facts: dict[str, ModelFacts], config: IndexConfig | None = None) -> list[str]:
         made.clear()
-        index_folder(tmp_path, Catalog(facts), config, store)
+        index_folder(tmp_path, Catalog(facts), config or IndexConfig(), store)
         return list(made)
 
     (tmp_path / "a.glb").write_bytes(as_glb(chair()))
@@ -146,37 +143,43 @@ def test_only_what_changed_is_made_again(tmp_path: Path, monkeypatch: pytest.Mon
     (tmp_path / "b.glb").write_bytes(as_glb(chair(2)))
     assert index_now({}) == ["b.glb"]
     assert index_now({"a.glb": ModelFacts(category="stool")}) == ["a.glb"]
-    assert index_now({}, dataclasses.replace(SMALL, thumbnails=1)) == ["a.glb", "b.glb"]
-    assert index_now({}, dataclasses.replace(SMALL, version="next")) == ["a.glb", "b.glb"]
+    assert index_now({}, IndexConfig(views=3)) == ["a.glb", "b.glb"]
+    assert index_now({}, IndexConfig(views=3, pieces=True)) == [], "pieces are no part of an entry"
+    assert index_now({}, IndexConfig(version="next")) == ["a.glb", "b.glb"]
     store = dict.fromkeys(store, b"damaged")
     assert index_now({}) == ["a.glb", "b.glb"]
 
 
 def test_a_file_that_changed_since_is_not_taken_for_its_entry(tmp_path: Path) -> None:
     (tmp_path / "a.glb").write_bytes(as_glb(chair()))
-    (entry,) = index_folder(tmp_path, Catalog({}), SMALL, {}).entries
+    (entry,) = index_folder(tmp_path, Catalog({}), IndexConfig(), {}).entries
     (tmp_path / "a.glb").write_bytes(as_glb(chair(1)))
     with pytest.raises(InputError, match="is another than when it was indexed"):
         entry_parts(entry, tmp_path, ModelFacts())
 
 
-def test_why_a_surface_is_open() -> None:
-    surface = surface_of(chair())
-    assert open_because(surface) == ""
-    assert open_because(dataclasses.replace(surface, faces=surface.faces[1:])).startswith("3 of ")
-    fin = np.concatenate([surface.faces, surface.faces[:1]])
-    assert open_because(dataclasses.replace(surface, faces=fin)).endswith("three faces or more")
+@pytest.mark.parametrize(("part", "reason"), [("whole", None), ("hole", "3 edges of one face"), ("fin", "3 of more than two")])
+def test_why_a_model_is_open(tmp_path: Path, part: str, reason: str | None) -> None:
+    surface = surface_of([trimesh.creation.box((0.4, 0.5, 0.9))])
+    faces = {"whole": surface.faces, "hole": surface.faces[1:], "fin": np.concatenate([surface.faces, surface.faces[:1, ::-1]])}[part]
+    (tmp_path / "chair.glb").write_bytes(as_glb([dataclasses.replace(surface, faces=faces).to_trimesh()]))
+    (entry,) = index_folder(tmp_path, Catalog({}), IndexConfig(), {}).entries
+    assert (entry.asset.is_watertight, entry.asset.open_reason) == (reason is None, reason)
 
 
 @pytest.mark.whole
-def test_convex_pieces_are_cached_by_the_key_of_an_entry(folder: Path, index: ModelIndex) -> None:
-    first, twin = (entry for entry in index.entries if entry.file in ("a_chair.glb", "b_chair.glb"))
-    assert first.pieces_key == twin.pieces_key
-    cache: dict[str, bytes] = {}
-    parts = entry_parts(first, folder, ModelFacts())
-    pieces = asset_pieces(first.pieces_key, lambda: parts, None, PieceConfig(), cache)
-    assert pieces.hulls
-    assert len(cache) == 1
+def test_pieces_that_are_cut_while_indexing_are_those_that_scenes_ask_for(tmp_path: Path) -> None:
+    """Stages find them where they remember pieces, by the asset; a second indexing cuts nothing."""
+    (tmp_path / "chair.glb").write_bytes(as_glb(chair()))
+    store: dict[str, bytes] = {}
+    cut: dict[str, bytes] = {}
+    (entry,) = index_folder(tmp_path, Catalog({}), IndexConfig(), store, cut=cut).entries
+    assert len(cut) == 1
+    before = dict(cut)
+    made = asset_pieces(entry.asset.asset_id, lambda: pytest.fail("cut again"), None, PieceConfig(), cut)
+    assert made.hulls
+    assert index_folder(tmp_path, Catalog({}), IndexConfig(), store, cut=cut).entries[0].asset == entry.asset
+    assert cut == before
 
 
 def test_weights_that_are_not_there_are_refused_at_once(folder: Path, tmp_path: Path) -> None:
@@ -188,7 +191,7 @@ def test_weights_that_are_not_there_are_refused_at_once(folder: Path, tmp_path: 
 def test_real_models_are_indexed(realdata: Callable[[str], Path]) -> None:
     place = realdata("assets")
     rows = json.loads((place / "index.json").read_bytes())
-    index = index_folder(place, catalog_of(place), IndexConfig(thumbnails=1, thumbnail_px=16), {})
+    index = index_folder(place, catalog_of(place), IndexConfig(), {})
     assert [entry.file for entry in index.entries] == sorted(row["file"] for row in rows)
     assert not index.refused
     by_file = {row["file"]: row for row in rows}

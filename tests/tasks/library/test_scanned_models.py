@@ -11,9 +11,9 @@ import pytest
 from bench.models.retrieval import ScannedQuery, lacking, query_of, timed, write_library
 from bench.models.rooms import MODELS_PER_ROOM, asked, query_rooms
 from bench.realdata import MODELS
-from bench.shelves import BARE, models_in
+from bench.shelves import models_in
 from tasks.library.catalog import catalog_of
-from tasks.library.indexing import index_folder
+from tasks.library.indexing import IndexConfig, index_folder
 from tasks.library.search import LibrarySearch
 
 
@@ -22,7 +22,7 @@ def test_models_of_a_scanned_room_are_found(realdata: Callable[[str], Path], tmp
     place = realdata(str(MODELS))
     assert lacking(place.parent) is None
     write_library(place, tmp_path, 40, seed=0)
-    index = index_folder(tmp_path, catalog_of(tmp_path), BARE, {})
+    index = index_folder(tmp_path, catalog_of(tmp_path), IndexConfig(), {})
     real = models_in(place)
     assert {entry.file for entry in index.entries if not entry.file.startswith("drawn_")} == {entry.file for entry in real}
     rooms = query_rooms(real, 0)
