@@ -99,16 +99,8 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     blobs = Blobs()
     solids = _solids(reading, world, groups, context, config)
     if not format.is_modelled:
-        own_words = [(label.is_known and not label.is_respelled) or reading.groups is None for label in meanings]
-        meanings = [
-            label if is_known else labels.of_size(group.raw_label, partial(own_size, solid.points))
-            for group, label, solid, is_known in zip(groups, meanings, solids, own_words, strict=True)
-        ]
-        groups, meanings, apart = set_apart(groups, meanings, world) if reading.groups is not None else (groups, meanings, [])
-        solids = _solids(reading, world, groups, context, config) if apart else solids
-        groups, meanings, joined = rejoined(groups, meanings, solids)
-        solids = _solids(reading, world, groups, context, config) if joined else solids
-        notes += [*apart, *joined]
+        groups, meanings, solids, more = _mended(reading, world, groups, meanings, solids, labels, context, config)
+        notes += more
     sought = SmallObjectsConfig(provider=Unsought()) if format.is_modelled else config.small_objects  # who models names everything
     instances = with_small_objects(
         groups, meanings, solids, world, reading.frames, alignment.pose, labels, context, sought,
@@ -157,6 +149,24 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         scenes=[scene], shells=[shell], rooms=rooms, surfaces=surfaces, frames=frames, instances=rows, masks=masks,
         syntheses=[], synthesis_objects=[], blobs=blobs, degradations=[*notes, *mesh_notes],
     )  # fmt: skip
+
+
+def _mended(
+    reading: Reading, world: Surface, groups: tuple[Group, ...], meanings: Sequence[Label], solids: list[InstancePoints], labels: LabelMap,
+    context: Context, config: CaptureConfig,
+) -> tuple[tuple[Group, ...], list[Label], list[InstancePoints], list[str]]:  # fmt: skip
+    """Instances of a scan with what people get wrong put right: slips of the hand, several things as one, one as several; and a line for
+    each of the latter two."""
+    own_words = [(label.is_known and not label.is_respelled) or reading.groups is None for label in meanings]
+    meanings = [
+        label if is_known else labels.of_size(group.raw_label, partial(own_size, solid.points))
+        for group, label, solid, is_known in zip(groups, meanings, solids, own_words, strict=True)
+    ]
+    groups, meanings, apart = set_apart(groups, meanings, world) if reading.groups is not None else (groups, meanings, [])
+    solids = _solids(reading, world, groups, context, config) if apart else solids
+    groups, meanings, joined = rejoined(groups, meanings, solids)
+    solids = _solids(reading, world, groups, context, config) if joined else solids
+    return groups, list(meanings), solids, [*apart, *joined]
 
 
 def read_scan(scan: Scan) -> Reading:

@@ -18,15 +18,22 @@ def sightings(
     scan: Scan | None, frames: Sequence[Frame], objects: Sequence[Instance], blobs: Mapping[str, bytes], config: ViewsConfig
 ) -> tuple[dict[str, tuple[ColorView, ...]], str, list[str]]:
     """The views that show each object best, by instance, with poses as the lake has them; why there are none, '' where there are some; and
-    what could not be read."""
+    what could not be read. scan: None where a run has none.
+
+    Raises:
+        ConnectionError: a scan that a run has is not there any more, or not on this machine: the next run goes on.
+        OSError: its store is away.
+    """
     poses = {frame.frame_id: frame.pose for frame in frames if frame.pose is not None}
     if not poses:
         return {}, "the scan has no frames with a pose", []
     if scan is None:
         return {}, NO_SCAN, []
+    if not scan.path.exists():
+        raise ConnectionError(f"{scan.path}: was there when the run was planned; twins need its frames")
     try:
         views = views_of(read_scan(scan).frames, poses)
-    except (InputError, OSError) as error:  # it was there when the run was planned
+    except InputError as error:
         return {}, f"{NO_SCAN}: {error}"[:300], []
     if not any(view.depth is not None for view in views):
         return {}, "frames without depth images do not say what stands before an object", []

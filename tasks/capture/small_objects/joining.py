@@ -1,4 +1,4 @@
-"""New small objects beside the instances that a scan's files have: none twice, none changed."""
+"""New small objects beside the instances that a scan's files have: none is there twice."""
 
 from __future__ import annotations
 

@@ -150,8 +150,9 @@ def test_the_same_frames_give_the_same_bytes_in_any_order(tmp_path: Path) -> Non
 
 def test_without_the_scan_twins_are_empty_and_nothing_else_changes(photos: Photos, outcome: Outcome, tmp_path: Path) -> None:
     known, _ = by_slot(outcome)
-    gone = Scan("posed_rgbd", tmp_path / "gone", "rgbd", "room")
-    for scan in (None, gone):
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    for scan in (None, Scan("posed_rgbd", broken, "rgbd", "room")):
         bare = photos.offered(*SLOTS, scan=scan)
         rows, _ = by_slot(bare)
         assert (rows[1].outcome, rows[1].twin_of) == ("empty", 2)
@@ -160,6 +161,8 @@ def test_without_the_scan_twins_are_empty_and_nothing_else_changes(photos: Photo
         assert [lasting(rows[slot]) for slot in (2, 3)] == [lasting(known[slot]) for slot in (2, 3)]
         assert [text for text in bare.degradations if text.startswith("no textured twins: ")] == list(bare.degradations)
         assert bare.rows["texture_charts"] == []
+    with pytest.raises(ConnectionError, match="gone: was there when the run was planned"):  # no machine's lack of a folder is a result
+        photos.offered(*SLOTS, scan=Scan("posed_rgbd", tmp_path / "gone", "rgbd", "room"))
 
 
 def test_why_there_is_no_twin(photos: Photos, tmp_path: Path) -> None:

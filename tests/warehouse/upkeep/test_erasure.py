@@ -112,7 +112,7 @@ def rows_of_others(lake: Lake, snapshot_id: int | None = None) -> dict[str, list
             rows = reader.arrow(table).to_pylist()
             rows = [r for r in rows if r.get("scene_id") not in (HOME, "own", "own-runs") and r.get("batch_id") not in ("own", "own-runs")]
             rows = [r for r in rows if r.get("room_id") != HOME]
-            found[table] = [r for r in rows if r.get("asset_id") not in own_assets] if table == "assets" else rows
+            found[table] = [r for r in rows if r.get("asset_id") not in own_assets] if table in ("assets", "texture_charts") else rows
     return found
 
 

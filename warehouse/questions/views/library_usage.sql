@@ -1,12 +1,12 @@
 -- What do scenes take from libraries of the lake?
 -- Version 1.
--- Of every library and category of its models. models: in the library, without those that hold what another one holds; offered: of
+-- Of every library and category of its models. models: in the library, without those of equal bytes; offered: of
 -- these, in a slot of some object as the library is now; candidates: slots that they fill; chosen: objects that stand in a replica as one
 -- of them; scenes: in which they are candidates. mean_score: of the candidates, by which a library's are ranked.
 WITH held AS (
     SELECT library, category, count(*) AS models, count(*) FILTER (is_noncommercial) AS noncommercial_models
     FROM library_models
-    WHERE duplicate_of IS NULL
+    WHERE duplicate_by IS DISTINCT FROM 'bytes'
     GROUP BY library, category
 ),
 

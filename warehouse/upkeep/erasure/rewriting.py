@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 _BATCH_ROWS = 32_768
 
+NO_BATCH_STAGES = (*SCENE_STAGES, *sorted({table.stage for table in TABLES.values() if table.grain == "library"}))
+"""Stages whose runs are of no batch: a scene, or a library, may be called as one is."""
+
 
 class SceneRows:
     """The rows about a scene in a lake's data files.
@@ -64,7 +67,7 @@ class SceneRows:
         if self.batches and "batch_id" in columns:
             parts.append(f"batch_id IN {_list(self.batches)}")
         if self.batches and table == "stage_runs":
-            parts.append(f"(scene_id IN {_list(self.batches)} AND stage NOT IN {SCENE_STAGES!r})")
+            parts.append(f"(scene_id IN {_list(self.batches)} AND stage NOT IN {NO_BATCH_STAGES!r})")
         if shared:
             parts.append(f"{quoted(TABLES[table].key[0])} IN {_list(shared)}")
         return " OR ".join(parts)
@@ -162,7 +165,7 @@ class SceneRows:
 
         gone = pc.or_(also("scene_id", [self._scene]), also("batch_id", self.batches))
         if table == "stage_runs":
-            gone = pc.or_(gone, pc.and_(also("scene_id", self.batches), pc.invert(also("stage", SCENE_STAGES))))
+            gone = pc.or_(gone, pc.and_(also("scene_id", self.batches), pc.invert(also("stage", NO_BATCH_STAGES))))
         return pc.or_(gone, also(TABLES[table].key[0], shared)) if shared else gone
 
     def _own_batches(self) -> set[str]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tasks.capture.small_objects.detectors.detector import WHERE, Detections, OpenVocabulary, corners, joined_answers, too_long
+from tasks.capture.small_objects.detectors.detector import WHERE, Detections, OpenVocabulary, corners, joined_answers, together, too_long
 from tasks.settings import Count, Share
 from tasks.vision.devices import NetworkPlacement, looking, opened
 from tasks.vision.pixels import IMAGENET_MEAN, IMAGENET_STD, Image, fitted_size, normalized, shrunk_to
@@ -54,7 +54,11 @@ class GroundingDinoDetector:
         places = [np.flatnonzero((where[:, 0] < last) & (first < where[:, 1])) for first, last in spans]
         count = tokens["input_ids"].shape[1]
         if count > self.network.config.max_text_len:
-            raise too_long("names_per_call", text, self.network.config.max_text_len)
+            if len(asked) == 1:
+                raise too_long("names_per_call", text, self.network.config.max_text_len)
+            half = len(asked) // 2  # long names, which a model may list: fewer at a time
+            both = (self._answers(pictures, asked[:half]), self._answers(pictures, asked[half:]))
+            return [together(answers) for answers in zip(*both, strict=True)]
         device = self.network.device
         with looking():
             out = self.network(

@@ -98,11 +98,11 @@ class BoxSegmenter(abc.ABC):
 
     @abc.abstractmethod
     def looked(self, pixels: Any) -> Any:
-        """What the network sees in pictures, whatever boxes it is asked for."""
+        """What the network sees in pictures, shape (n, 3, side, side), whatever boxes it is asked for: its features, for `of_one`."""
 
     @abc.abstractmethod
     def of_one(self, seen: Any, place: int) -> Any:
-        """What it sees in one of them."""
+        """What it sees in one of them, the features of a single picture as the network takes them. place: From 0 on."""
 
     @abc.abstractmethod
     def unfolded(self, logits: Any, height: int, width: int) -> Any:

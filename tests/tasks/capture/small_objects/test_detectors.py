@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 import textwrap
@@ -32,8 +33,6 @@ OPEN: dict[str, Any] = {
 
 
 def found(name: str, networks: Path, **more: Any) -> list[Detections]:
-    import dataclasses
-
     settings = dataclasses.replace(OPEN[name], weights=str(networks / name), **more)
     return detector_in(settings).detect(PICTURES, NAMES)
 
@@ -143,13 +142,18 @@ def test_owlv2_is_as_its_processor_has_it(networks: Path) -> None:
 
 
 @pytest.mark.whole
-def test_names_are_asked_for_some_at_a_time_and_too_many_for_the_network_are_told(networks: Path) -> None:
+def test_names_are_asked_for_some_at_a_time_and_too_many_for_the_network_are_asked_for_in_parts(networks: Path) -> None:
     few = found("owlv2", networks, names_per_call=1)
     assert {label for answer in few for label in answer.labels} == set(NAMES), "each alone is the surest of its call"
+    settings = dataclasses.replace(OPEN["grounding_dino"], weights=str(networks / "grounding_dino"))
+    many = [f"mug {'red ' * i}".strip() for i in range(1, 9)]  # 36 words and 8 periods, and all of them again
+    asked = [*many, *(f"pen {'red ' * i}".strip() for i in range(1, 9))]
+    whole = detector_in(dataclasses.replace(settings, names_per_call=80)).detect(PICTURES, asked)
+    halves = detector_in(dataclasses.replace(settings, names_per_call=8)).detect(PICTURES, asked)
+    assert close(whole, halves)
+    assert len(whole[0].labels) > 1
     with pytest.raises(InputError, match="more than 64 tokens"):
-        detector_in(GroundingDino(weights=str(networks / "grounding_dino"), names_per_call=80, device="cpu")).detect(
-            PICTURES[:1], [f"mug {'red ' * i}" for i in range(1, 20)]
-        )
+        detector_in(settings).detect(PICTURES[:1], [f"mug {'red ' * 70}"])
 
 
 @given(st.lists(st.text(max_size=12), max_size=8))

@@ -35,8 +35,8 @@ def libraries(draw: st.DrawFn) -> list[Any]:
         refused = draw(st.lists(st.tuples(st.sampled_from(FILES), st.sampled_from(("size", "content"))), unique_by=lambda pair: pair[0]))
         rows.append(sample(IndexedLibrary, library=library, model_count=len(files), refused_count=len(refused)))
         for file in files:
-            first = draw(st.sampled_from((None, "a.glb")))
-            values = {"category": draw(st.sampled_from(CATEGORIES)), "asset_id": draw(st.sampled_from(ASSETS))}
+            first, by = draw(st.sampled_from(((None, None), ("a.glb", "bytes"), ("a.glb", "geometry"))))
+            values = {"category": draw(st.sampled_from(CATEGORIES)), "asset_id": draw(st.sampled_from(ASSETS)), "duplicate_by": by}
             noncommercial = draw(st.booleans())
             rows.append(
                 sample(LibraryModel, library=library, file=file, duplicate_of=first, is_noncommercial=noncommercial, **values)  # type: ignore[arg-type]
@@ -64,7 +64,7 @@ def test_what_scenes_take_is_counted_by_category(database: Database, rows: list[
         lambda: {"models": 0, "noncommercial_models": 0, "files": set(), "slots": [], "chosen": set(), "scenes": set()}
     )
     for model in models.values():
-        if model.duplicate_of is None:
+        if model.duplicate_by != "bytes":
             expected[model.library, model.category]["models"] += 1
             expected[model.library, model.category]["noncommercial_models"] += model.is_noncommercial
     for row in of(rows, Candidate):
