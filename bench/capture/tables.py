@@ -1,0 +1,34 @@
+"""The report of scans without labels as tables for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from bench.capture.report import FRAMES
+from bench.tables import add_row, goals_table, headline, table_of
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def print_capture(report: Mapping[str, Any], console: Console) -> None:
+    """Print the report."""
+    parts = report["parts"]
+    console.print(headline(report["machine"], report["seed"], 1))
+    if FRAMES in parts:
+        _print_frames(parts[FRAMES]["rows"], console)
+    console.print(goals_table(report["goals"]))
+
+
+def _print_frames(rows: list[Mapping[str, Any]], console: Console) -> None:
+    columns = ("frames", "objects", "regions", "P", "R", "F1", "at 0.75", "split", "merged", "level", "s")
+    table = table_of("instances of single frames at point IoU 0.5", ("of", False), ("code", False), *((text, True) for text in columns))
+    for row in rows:
+        counts = [str(row[name]) for name in ("frames", "objects", "regions")]
+        rates = [f"{row[name]:.2f}" for name in ("precision", "recall", "f1", "f1_well")]
+        level = "n/a" if row["level"] is None else str(row["level"])
+        add_row(
+            table, row["material"], row["code"], *counts, *rates, str(row["in_pieces"]), str(row["shared"]), level, f"{row['seconds']:.2f}"
+        )
+    console.print(table)
