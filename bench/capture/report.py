@@ -7,19 +7,26 @@ from collections.abc import Callable
 from typing import Any
 
 from bench.capture.frames import frames_report
+from bench.capture.poses import poses_report
 from bench.machine import machine
 
 FRAMES = "frames"
 
-PARTS = (FRAMES,)
-"""What can be measured: instances of single frames of tables."""
+POSES = "poses"
+
+PARTS = (FRAMES, POSES)
+"""What can be measured: instances of single frames of tables; poses of walks that are withheld, or drift."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CaptureBench:
-    """What is measured. frames: Generated ones. parts: Of `PARTS`."""
+    """What is measured. frames: Generated ones of tables. walks: Through rooms, each of `walk_frames` frames. open3d: An interpreter that
+    has it, '' for this one. parts: Of `PARTS`."""
 
     frames: int = 30
+    walks: int = 3
+    walk_frames: int = 300
+    open3d: str = ""
     seed: int = 0
     parts: tuple[str, ...] = PARTS
 
@@ -35,4 +42,7 @@ def run_capture_bench(config: CaptureBench, advance: Callable[[str], None]) -> d
     if FRAMES in config.parts:
         parts[FRAMES] = frames_report(config.frames, config.seed)
         advance(FRAMES)
+    if POSES in config.parts:
+        parts[POSES] = poses_report(config.walks, config.walk_frames, config.seed, config.open3d)
+        advance(POSES)
     return {"machine": machine(), "seed": config.seed, "parts": parts, "goals": [row for part in parts.values() for row in part["goals"]]}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bench.capture.report import FRAMES
+from bench.capture.report import FRAMES, POSES
 from bench.tables import add_row, goals_table, headline, table_of
 
 if TYPE_CHECKING:
@@ -18,6 +18,8 @@ def print_capture(report: Mapping[str, Any], console: Console) -> None:
     console.print(headline(report["machine"], report["seed"], 1))
     if FRAMES in parts:
         _print_frames(parts[FRAMES]["rows"], console)
+    if POSES in parts:
+        _print_poses(parts[POSES], console)
     console.print(goals_table(report["goals"]))
 
 
@@ -32,3 +34,17 @@ def _print_frames(rows: list[Mapping[str, Any]], console: Console) -> None:
             table, row["material"], row["code"], *counts, *rates, str(row["in_pieces"]), str(row["shared"]), level, f"{row['seconds']:.2f}"
         )
     console.print(table)
+
+
+def _print_poses(part: Mapping[str, Any], console: Console) -> None:
+    columns = ("seed", "frames", "way [m]", "posed", "error before [cm]", "after", "F at 5 cm before", "after", "with true poses", "s")
+    table = table_of("poses of walks", ("room", False), ("poses", False), *((text, True) for text in columns))
+    for row in part["rows"]:
+        before = ("n/a", "n/a") if row["before_m"] is None else (f"{100 * row['before_m']:.1f}", f"{row['f_before']:.3f}")
+        add_row(
+            table, row["room"], row["given"], str(row["seed"]), str(row["frames"]), f"{row['way_m']:.1f}", str(row["posed"]), before[0],
+            f"{100 * row['after_m']:.1f}", before[1], f"{row['f_score']:.3f}", f"{row['true_f_score']:.3f}", f"{row['seconds']:.0f}",
+        )  # fmt: skip
+    console.print(table)
+    if part["note"]:
+        console.print(part["note"])
