@@ -129,7 +129,7 @@ def _f_score(filmed: Walk, frames: Sequence[FrameSource], poses: Array) -> float
 
 def poses_report(walks: int, frames: int, seed: int, python: str) -> dict[str, Any]:
     """Figures and goals of some walks; a line in their place where Open3D is not there."""
-    provider, rooms = Open3DPoses(python=python), ("bedroom", "living room", "office")
+    provider, rooms = Open3DPoses(python=python, always=True), ("bedroom", "living room", "office")
     figures: list[PoseFigures] = []
     try:
         for number in range(walks):
