@@ -10,10 +10,17 @@ Registration Revisited", ICCV 2017; Choi et al., "Robust Reconstruction of Indoo
 """
 
 import json
+import os
 import sys
 from pathlib import Path
 
 import numpy as np
+
+# Sums of several threads have no order. OMP_NUM_THREADS is 1 already; of the other threads there are as many as cores that one may use.
+if hasattr(os, "sched_setaffinity"):
+    _cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {_cores[os.getpid() % len(_cores)]})
+
 import open3d as o3d
 
 REGISTRATION = o3d.pipelines.registration
