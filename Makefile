@@ -13,7 +13,7 @@ CHAOS ?= chaos
 CLIENT := flows/view/built/view.js
 RECAST := native/build/libmetascenes_recast.so
 
-.PHONY: help client demo test test-whole test-all chaos fuzz check format golden docs pages native train lock clean
+.PHONY: help client demo test test-whole test-all chaos fuzz check format golden docs pages native open3d train lock clean
 
 help:  ## Say what there is to make.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -60,6 +60,8 @@ pages: $(VENV)/.run-ready  ## Write the pages of tables, views, settings and com
 
 train: $(VENV)/.train-ready  ## Install what training needs besides: torch, for graphics cards where the index has that build.
 
+open3d: $(VENV)/.open3d-ready  ## Install Open3D, which finds poses of frames; wants Debian's libgl1, libegl1, libx11-6, libusb-1.0-0, libudev1, libidn2-0.
+
 client: $(CLIENT)  ## Build what browsers get of the viewer, with three.js from npm; Node comes from PyPI where there is none.
 
 $(CLIENT): requirements/client.py requirements/client.lock $(wildcard flows/view/client/* flows/view/client/.npmrc flows/view/client/src/* flows/view/client/src/*/*) | $(VENV)/.made
@@ -89,6 +91,12 @@ $(VENV)/.run-ready: requirements/run.lock pyproject.toml | $(VENV)/.made
 # With what it depends on, in the versions of the lock: a build of torch for graphics cards brings libraries that no lock names.
 $(VENV)/.train-ready: requirements/train.lock $(VENV)/.run-ready
 	$(PIP) install -q -r requirements/train.lock -c requirements/run.lock
+	touch $@
+
+$(VENV)/.open3d-ready: requirements/open3d.lock $(VENV)/.run-ready
+	$(PIP) install -q --no-deps -r requirements/open3d.lock
+	@$(BIN)/python -c "import open3d" || { echo "make open3d: install what it links with first" \
+		"(apt-get install libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libidn2-0)" >&2; exit 1; }
 	touch $@
 
 $(VENV)/.test-ready: requirements/test.lock $(VENV)/.train-ready

@@ -1,6 +1,6 @@
 """Resolve the project's dependencies and pin them: `run.lock` for running it, `train.lock` for what else training needs, `test.lock` and
-`docs.lock` for what its tests and the site of its documentation need besides, `client.lock` for building the viewer's client where there
-is no Node. A package that several name has one version. What the client is made of is pinned by
+`docs.lock` for what its tests and the site of its documentation need besides, `open3d.lock` for finding poses, `client.lock` for building
+the viewer's client where there is no Node. A package that several name has one version. What the client is made of is pinned by
 `flows/view/client/package-lock.json`."""
 
 from __future__ import annotations
@@ -45,11 +45,13 @@ def main() -> None:
     training = resolve([*run, *extras["train"]], pinned)
     everything = resolve([*run, *extras["train"], *extras["encoders"], *extras["test"]], training)
     site = resolve([*run, *extras["docs"]], everything)
+    posing = resolve([*run, *extras["open3d"]], site | everything)
     locks = {
         "run": pinned,
         "train": _besides(pinned, training),
         "test": _besides(training, everything),
         "docs": _besides(pinned, site),
+        "open3d": _besides(pinned, posing),
         "client": resolve(CLIENT),
     }
     for name, pins in locks.items():

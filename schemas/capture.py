@@ -156,6 +156,11 @@ class Frame:
     pose: tuple[float, ...] | None = column(
         "Camera (x right, y down, z forward) to world frame, 4x4 row by row; missing when unreadable", unit="m", length=16
     )
+    pose_source: str | None = column(
+        "Whose the pose is: the scan's files', refined from it by the frames' depth, or estimated from color and depth alone; missing "
+        "where there is no pose, and in rows that are older than the column",
+        values=("file", "refined", "estimated"),
+    )
 
 
 @record("instances", key=("scene_id", "instance_id"), stage="capture")

@@ -20,7 +20,8 @@ class FrameSource:
     """A frame as the scan has it. Pixels are read when asked for.
 
     intrinsics, depth_intrinsics: fx, fy, cx, cy [px]. depth_size: width, height [px]. depth_scale: units per metre.
-    pose: OpenCV camera to scan frame, 4x4 [m], None when unreadable. `color()` gives shape (h, w, 3) uint8,
+    pose: OpenCV camera to scan frame, 4x4 [m], None when unreadable. pose_source: Whose
+    the pose is, as rows say it. `color()` gives shape (h, w, 3) uint8,
     `depth()` metres, shape (h, w) float32, 0 where there is no reading; both raise InputError.
     """
 
@@ -36,6 +37,7 @@ class FrameSource:
     pose: NDArray[np.float64] | None
     color: Callable[[], NDArray[np.uint8]]
     depth: Callable[[], NDArray[np.float32]] | None
+    pose_source: str | None = "file"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -25,6 +25,7 @@ from tasks.capture.instances.segmentation import PROVIDER, geometry_groups
 from tasks.capture.instances.split import rejoined
 from tasks.capture.instances.views import Sight, best_sights, camera_up, run_lengths, view_of
 from tasks.capture.labels import CEILING, DOOR, FLOOR, WALL, WINDOW, Label, LabelMap, label_map
+from tasks.capture.poses.provider import PosesConfig, with_poses
 from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms.alignment import Alignment, align
@@ -36,8 +37,9 @@ from tasks.capture.rooms.rows import parted
 from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
 from tasks.capture.scan import Scan
+from tasks.capture.scan_mesh import scan_mesh
 from tasks.capture.small_objects.additions import Finder, Instances, SmallObjectsConfig, Unsought, with_small_objects
-from tasks.geometry.meshes import Surface, dump_glb
+from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import flat
 from tasks.mounting import mounting
 from tasks.settings import Config, Count
@@ -59,6 +61,7 @@ class CaptureConfig(Config):
     view_size_px: Count = 256  # What caption and selection models take in; larger crops only fill the lake.
     max_points: Count = 20_000  # A sofa at 2 cm has fewer; walls are thinned.
     max_faces: Count = 400_000  # The finest ScanNet meshes in use have about that; a viewer still turns it smoothly.
+    poses: PosesConfig = dataclasses.field(default_factory=PosesConfig)  # see there
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
     textures: TextureConfig = dataclasses.field(default_factory=TextureConfig)
     small_objects: SmallObjectsConfig = dataclasses.field(default_factory=SmallObjectsConfig)  # a scan names few of them
@@ -79,7 +82,8 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     labels = label_map(config.label_map)
     if labels.sha256 != config.label_map_sha256:
         raise InputError(config.label_map or "labels.csv", "content", "has changed since the run was planned", "start the run again")
-    notes = list(reading.degradations)
+    reading, pose_notes = with_poses(reading, config.poses, scan.path.name)
+    notes = [*reading.degradations, *pose_notes]
     surface = reading.surface
     if surface is None:
         surface, fusion_notes = fused_surface(reading.frames, config.fusion, scan.path.name)
@@ -125,7 +129,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell, leaves)
     shell, rooms, rows = parted(shell, rows, reading.room_type, is_seen)
     surfaces = _surfaces(shell, reading, world, groups, meanings, config, blobs)
-    mesh, mesh_notes = _mesh(reading, world, alignment, config)
+    mesh, mesh_notes = scan_mesh(reading, world, alignment, config.max_faces)
     scene = Scene(
         scene_id=context.scene_id,
         room_id=room_of(scan),
@@ -354,35 +358,6 @@ def _surfaces(
     return baked_surfaces(room, parts, own, config.textures, blobs)
 
 
-def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:
-    """GLB of the whole scan in the world frame, thinned when it has more faces than the config allows; and a note on that."""
-    if reading.glb is not None and alignment.source == "identity":
-        return reading.glb, []
-    if reading.parts:
-        parts = []
-        for part in reading.parts:
-            moved = part.copy()
-            moved.apply_transform(alignment.pose)
-            parts.append(moved)
-        return dump_glb(parts, [str(part.metadata["name"]) for part in reading.parts]), []
-    if len(world.faces) <= config.max_faces:
-        return dump_glb([world.to_trimesh()], ["scan"]), []
-    thin = _thinned(world, config.max_faces)
-    return dump_glb([thin.to_trimesh()], ["scan"]), [f"scan mesh thinned from {len(world.faces)} to {len(thin.faces)} faces"]
-
-
-def _thinned(surface: Surface, faces: int) -> Surface:
-    """A surface of about so many faces; colors are those of the nearest vertices."""
-    import fast_simplification
-    from scipy.spatial import cKDTree
-
-    points, triangles = fast_simplification.simplify(
-        surface.vertices.astype(np.float32), surface.faces.astype(np.int32), target_count=faces
-    )
-    nearest = cKDTree(surface.vertices).query(points)[1]
-    return Surface(points.astype(np.float64), triangles.astype(np.int64), surface.colors[nearest])
-
-
 def _frame_row(frame: FrameSource, scene_id: str, alignment: Alignment) -> Frame:
     return Frame(
         scene_id=scene_id,
@@ -394,4 +369,5 @@ def _frame_row(frame: FrameSource, scene_id: str, alignment: Alignment) -> Frame
         intrinsics=frame.intrinsics,
         depth_scale=float(frame.depth_scale),
         pose=None if frame.pose is None else flat(alignment.pose @ frame.pose),
+        pose_source=None if frame.pose is None else frame.pose_source,
     )

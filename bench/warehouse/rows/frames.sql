@@ -10,5 +10,6 @@ SELECT
     CASE WHEN u(scene * 100 + frame, 'lost') < 0.98 THEN pose(
         radians(below(scene * 100 + frame, 'yaw', 360)),
         round(room_width * u(scene * 100 + frame, 'x'), 2), round(room_depth * u(scene * 100 + frame, 'y'), 2), 1.5
-    ) END AS pose
+    ) END AS pose,
+    CASE WHEN u(scene * 100 + frame, 'lost') < 0.98 THEN 'file' END AS pose_source
 FROM (SELECT *, unnest(range(100)) AS frame FROM scenes_now)

@@ -1,4 +1,4 @@
-"""A plain folder of posed RGB-D frames: color, depth, poses and intrinsics, and no instances."""
+"""A plain folder of RGB-D frames: color, depth, intrinsics and usually poses, and no instances."""
 
 from __future__ import annotations
 
@@ -15,19 +15,16 @@ from tasks.capture.scan import Scan, ScanFormat, license_path
 
 
 def read_posed_rgbd(scan: Scan) -> Reading:
-    """The frames of a folder; its mesh is fused from them and its instances are found in that.
+    """The frames of a folder; its mesh is fused from them and its instances are found in that. Where the folder has no poses, or none
+    that can be used, frames are without.
 
     Raises:
-        InputError: the folder has no frames, no pose or no intrinsics, or a file of it is broken.
+        InputError: the folder has no frames or no intrinsics, or a file of it is broken.
     """
     layout = frame_layout(scan.path, premises=scan.premises)
     if layout is None or not layout.frames:
         raise InputError(scan.path.name, "folder", "holds no frames", "expected folders color and depth")
-    if layout.trajectory is None and not any(frame.pose for frame in layout.frames):
-        raise InputError(scan.path.name, "poses", "there are none", "add pose.txt with one camera-to-world pose a line, or a folder pose")
     frames, notes = _by_convention(layout, scan.path)
-    if not any(frame.pose is not None for frame in frames):
-        raise InputError(scan.path.name, "poses", f"none can be used ({'; '.join(notes)})", "write camera-to-world poses in metres")
     return Reading(
         surface=None,
         parts=(),
@@ -70,7 +67,7 @@ def _files(scan: Scan, premises: Premises) -> list[Path]:
 POSED_RGBD = ScanFormat(
     name="posed_rgbd",
     dataset="rgbd",
-    expected="folders color and depth with poses and intrinsics",
+    expected="folders color and depth with intrinsics, and with poses unless they are to be found",
     recognize=lambda folder: folder.name if is_framed(folder) else None,
     is_recorded=lambda folder: is_framed(folder) or any(map(is_framed, folders_in(folder))),
     files=_files,

@@ -94,6 +94,7 @@ def photographed(folder: Path, numbers: Sequence[int] = (1,)) -> Photos:
             scene_id=SCENE, frame_id=f"{number:06d}", color_file=f"color/{number}.png", depth_file=f"depth/{number}.png",
             width=camera.width, height=camera.height,
             intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), depth_scale=1000.0, pose=flat(camera.pose),
+            pose_source="file",
         )
         for number, camera in enumerate(cameras, start=1)
     )  # fmt: skip

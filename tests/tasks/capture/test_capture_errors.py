@@ -634,8 +634,11 @@ def test_depth_units_that_cannot_be(room: BoxRoom, tmp_path: Path) -> None:
     assert refused(folder).field == "depth_scale"
     edit_json(folder / "intrinsics.json", lambda d: d.update(depth_scale="many"))
     assert refused(folder).field == "depth_scale"
+    edit_json(folder / "intrinsics.json", lambda d: d.update(depth_scale=1000))
     (folder / "pose.txt").unlink()
-    assert refused(folder).field == "poses"
+    error = refused(folder)
+    assert (error.field, error.problem) == ("poses", "there are none")
+    assert "make open3d" in error.remedy
 
 
 def test_a_long_word_among_integers_takes_no_memory() -> None:

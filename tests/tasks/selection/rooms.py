@@ -158,6 +158,7 @@ def photographed(
     frame = Frame(
         scene_id=SCENE, frame_id=f"{int(instance.instance_id):06d}", color_file="0.jpg", depth_file=None, width=640, height=480,
         intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), depth_scale=1000.0, pose=flat(camera.pose),
+        pose_source="file",
     )  # fmt: skip
     silhouette = drawn.part[box[1] : box[3], box[0] : box[2]] >= 0
     mask = Mask(

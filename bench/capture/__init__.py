@@ -1,0 +1,1 @@
+"""What capture makes of scans without labels, measured against what is true of them."""

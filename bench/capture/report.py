@@ -1,0 +1,48 @@
+"""The benchmark of scans without labels: single frames; held against goals."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from bench.capture.frames import frames_report
+from bench.capture.poses import poses_report
+from bench.machine import machine
+
+FRAMES = "frames"
+
+POSES = "poses"
+
+PARTS = (FRAMES, POSES)
+"""What can be measured: instances of single frames of tables; poses of walks that are withheld, or drift."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CaptureBench:
+    """What is measured. frames: Generated ones of tables. walks: Through rooms, each of `walk_frames` frames. open3d: An interpreter that
+    has it, '' for this one. parts: Of `PARTS`."""
+
+    frames: int = 30
+    walks: int = 3
+    walk_frames: int = 300
+    open3d: str = ""
+    seed: int = 0
+    parts: tuple[str, ...] = PARTS
+
+    @property
+    def advances(self) -> int:
+        """How often the benchmark advances."""
+        return len(self.parts)
+
+
+def run_capture_bench(config: CaptureBench, advance: Callable[[str], None]) -> dict[str, Any]:
+    """The report. `advance` is told each part of it that is done."""
+    parts: dict[str, Any] = {}
+    if FRAMES in config.parts:
+        parts[FRAMES] = frames_report(config.frames, config.seed)
+        advance(FRAMES)
+    if POSES in config.parts:
+        parts[POSES] = poses_report(config.walks, config.walk_frames, config.seed, config.open3d)
+        advance(POSES)
+    return {"machine": machine(), "seed": config.seed, "parts": parts, "goals": [row for part in parts.values() for row in part["goals"]]}

@@ -1,0 +1,38 @@
+"""How well instances of scans without labels are found, measured."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import click
+
+from flows.commands.bench.measurement import chosen_words, run_measurement
+from flows.commands.options import json_option
+
+
+@click.command("capture")
+@click.option("--frames", type=click.IntRange(1, 10_000), default=30, show_default=True, help="Generated frames of tables.")
+@click.option("--walks", type=click.IntRange(1, 100), default=3, show_default=True, help="Films of generated rooms.")
+@click.option("--walk-frames", type=click.IntRange(2, 5_000), default=300, show_default=True, help="Frames of each film.")
+@click.option("--open3d", metavar="PYTHON", default="", help="An interpreter that has open3d; else this one.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same frames.")
+@click.option("--parts", default="", help="Measure only these, with commas between: frames, poses.")
+@json_option
+def capture(frames: int, walks: int, walk_frames: int, open3d: str, seed: int, parts: str, as_json: bool) -> None:
+    """Measure what is found in scans that name no instances.
+
+    `frames`: single depth frames of generated tables, seen at 20 to 70 degrees, with things that touch, are stacked and lie in one another.
+    Beside it what the code before made of the same frames, which is taken out of the checkout's history; without history it is left out.
+
+    `poses`: films of a slow walk through a room whose poses are withheld, or drift by 3 % of the way, and what `capture.poses` with Open3D
+    (`make open3d`) makes of them: places of the camera, and the surface that the frames fuse to, beside that of true poses.
+
+    The exit code is 1 when a goal is missed, and else 0.
+
+    Example: metascenes bench capture --parts frames --frames 4
+    """
+    from bench.capture.report import PARTS, CaptureBench, run_capture_bench
+    from bench.capture.tables import print_capture
+
+    config = CaptureBench(frames, walks, walk_frames, open3d, seed, chosen_words(parts, PARTS, "--parts"))
+    run_measurement("measured", config.advances, partial(run_capture_bench, config), print_capture, as_json)
