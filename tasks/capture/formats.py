@@ -33,8 +33,15 @@ def format_of(scan: Scan) -> ScanFormat:
 
 
 def room_of(scan: Scan) -> str:
-    """Id of the physical room of a scan: rescans, where its format tells by their names, are of one; otherwise the scene's own."""
-    pattern = format_of(scan).room
+    """Id of the physical room of a scan: rescans, where its format tells by names or files, are of one; otherwise the scene's own.
+
+    Raises:
+        InputError: the file that says so is broken.
+    """
+    stated, pattern = format_of(scan).room_stated, format_of(scan).room
+    name = stated(scan) if stated is not None else None
+    if name:
+        return dataclasses.replace(scan, scan=name).scene_id
     match = re.fullmatch(pattern, scan.scene_id) if pattern else None
     return match[1] if match else scan.scene_id
 
@@ -156,6 +163,10 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
     wanted = search.wanted
     if folder.is_file():
         for format in wanted:
+            inside = format.within(folder.parent) if format.within is not None else ()
+            for path, name in inside:
+                if path == folder:
+                    return [search.scan(format, folder, name)], []
             if format.suffix and folder.suffix.lower() == format.suffix:
                 return [search.scan(format, folder, folder.stem)], []
         return [], [InputError(folder.name, "file", "is no scan", f"expected {_expected(wanted)}")]
@@ -164,9 +175,11 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
         return [single], []
     if depth and not search.admits(folder):
         return [], [leaving(folder)]
-    files = [(format, path) for format in wanted if format.suffix for path in files_named(folder, format.suffix)]
-    scans = [search.scan(format, path, path.stem) for format, path in files if search.admits(path)]
-    errors = [leaving(path) for _, path in files if not search.admits(path)]
+    files = [(format, path, name) for format in wanted if format.within is not None for path, name in format.within(folder)]
+    known = {path for _, path, _ in files}
+    files += [(f, path, path.stem) for f in wanted if f.suffix for path in files_named(folder, f.suffix) if path not in known]
+    scans = [search.scan(format, path, name) for format, path, name in files if search.admits(path)]
+    errors = [leaving(path) for _, path, _ in files if not search.admits(path)]
     for child in folders_in(folder) if depth < 2 else []:
         more, wrong = _search(child, search, depth + 1)
         scans, errors = scans + more, errors + [error for error in wrong if str(error) not in map(str, errors)]

@@ -90,6 +90,11 @@ def settings(text: str) -> dict[str, str]:
     return {key.strip(): value.strip() for key, mark, value in pairs if mark and key.strip()}
 
 
+def plain_text(label: str) -> str:
+    """A label of a JSON file in one line of at most 200 letters. A byte that is no UTF-8 cannot come from JSON, a lone surrogate can."""
+    return " ".join(label.encode("utf-8", "replace").decode().split())[:200]
+
+
 def license_of(path: Path | None) -> str | None:
     """First line of a scan's LICENSE.txt, None without one."""
     return None if path is None else first_line(path, path.parent)
