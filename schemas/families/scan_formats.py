@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 SCAN_FORMATS = (
-    "scannet", "scannetpp", "threerscan", "replica_v1", "matterport3d", "arkitscenes", "tum_rgbd", "posed_rgbd", "glb",
+    "scannet", "scannetpp", "threerscan", "replica_v1", "matterport3d", "arkitscenes", "tum_rgbd", "stray_scanner", "record3d",
+    "roomplan", "posed_rgbd", "glb",
 )  # fmt: skip
 """In the order in which they are looked for."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.capture.files.documents import plain_text, read_json
+from tasks.capture.files.documents import json_floats, plain_text, read_json
 from tasks.capture.reading import Group, groups_of
 from tasks.geometry.meshes import Surface
 from tasks.geometry.triangles import vertex_normals
@@ -91,19 +91,11 @@ def _boxes(document: dict[str, Any], name: str) -> list[LabelledBox]:
         if source_id in seen:
             raise InputError(name, f"{field}.uid", f"{source_id[:40]!r} names two boxes", "give every box a uid of its own")
         seen.add(source_id)
-        center, size = (_numbers(box.get(key), name, f"{field}.segments.obbAligned.{key}", 3) for key in ("centroid", "axesLengths"))
-        axes = _numbers(box.get("normalizedAxes"), name, f"{field}.segments.obbAligned.normalizedAxes", 9).reshape(3, 3)
+        center, size = (json_floats(box.get(key), name, f"{field}.segments.obbAligned.{key}", 3) for key in ("centroid", "axesLengths"))
+        axes = json_floats(box.get("normalizedAxes"), name, f"{field}.segments.obbAligned.normalizedAxes", 9).reshape(3, 3)
         if np.abs(axes @ axes.T - np.eye(3)).max() > 0.01:
             raise InputError(name, f"{field}.segments.obbAligned.normalizedAxes", "are no three unit vectors at right angles", _AGAIN)
         if (size <= 0.0).any():
             raise InputError(name, f"{field}.segments.obbAligned.axesLengths", "must be above 0", _AGAIN)
         boxes.append(LabelledBox(source_id, plain_text(entry["label"]), center, axes, size))
     return boxes
-
-
-def _numbers(value: Any, name: str, field: str, count: int) -> Array:
-    """Numbers of a JSON list, nested or not, shape (count,)."""
-    flat = [v for part in value for v in (part if isinstance(part, list) else [part])] if isinstance(value, list) else []
-    if len(flat) != count or not all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e6 for v in flat):
-        raise InputError(name, field, f"must be {count} numbers", _AGAIN)
-    return np.array(flat, dtype=np.float64)

@@ -84,6 +84,18 @@ def floats(text: str, name: str, field: str, count: int) -> NDArray[np.float64]:
         raise InputError(name, field, f"is not a list of numbers: {text.strip()[:40]!r}", _AGAIN) from error
 
 
+def json_floats(value: Any, name: str, field: str, count: int) -> NDArray[np.float64]:
+    """Numbers of a JSON list, or of lists in it, below a million, shape (count,).
+
+    Raises:
+        InputError: it holds something else, or another number of them.
+    """
+    flat = [v for part in value for v in (part if isinstance(part, list) else [part])] if isinstance(value, list) else []
+    if len(flat) != count or not all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e6 for v in flat):
+        raise InputError(name, field, f"must be {count} numbers", _AGAIN)
+    return np.array(flat, dtype=np.float64)
+
+
 def settings(text: str) -> dict[str, str]:
     """`key = value` lines of a scan's metadata file."""
     pairs = (line.partition("=") for line in text.splitlines())

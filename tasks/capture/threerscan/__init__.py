@@ -173,8 +173,8 @@ def _room(scan: Scan) -> str | None:
             for entry in listed if isinstance(listed, list) else []:
                 if not isinstance(entry, dict) or not isinstance(entry.get("reference"), str):
                     raise InputError(path.name, "reference", "every room must have one", "copy it again, or take it away")
-                others = entry.get("scans")
-                again = [other.get("reference") for other in others if isinstance(other, dict)] if isinstance(others, list) else []
+                rescans = entry.get("scans")
+                again = [other.get("reference") for other in rescans if isinstance(other, dict)] if isinstance(rescans, list) else []
                 if scan.path.name in (entry["reference"], *again):
                     return plain_text(entry["reference"]) or None
             return None
