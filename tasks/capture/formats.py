@@ -1,4 +1,5 @@
-"""The scan formats, which scans a folder holds, and which files each is read from. Opens nothing but LICENSE.txt."""
+"""The scan formats, which scans a folder holds, and which files each is read from. Opens nothing but
+LICENSE.txt, and what says which scans are of one room."""
 
 from __future__ import annotations
 
@@ -11,12 +12,16 @@ from schemas.errors import InputError
 from schemas.families.scan_formats import SCAN_FORMATS
 from schemas.files import stays_in
 from tasks.capture.layout import folders_in
+from tasks.capture.likeness import is_like, likeness
 from tasks.capture.premises import stores
 from tasks.capture.scan import Scan, ScanFormat, files_named, leaving, license_path
 from tasks.families import member, members
 
 FORMATS = members("tasks.capture", SCAN_FORMATS, ScanFormat)
 """Formats that are read, in the order in which they are looked for."""
+
+EXAMPLE = next((format for format in FORMATS if format.is_plain), FORMATS[0])
+"""What errors name where any format would do."""
 
 
 def format_of(scan: Scan) -> ScanFormat:
@@ -185,12 +190,10 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
         scans, errors = scans + more, errors + [error for error in wrong if str(error) not in map(str, errors)]
     if not scans and not errors:
         is_empty = not any(folder.iterdir())
-        problem = _EMPTY if is_empty else f"{_NO_SCAN} ({_names(wanted)})"
-        errors.append(InputError(folder.name, "folder", problem, f"expected {_expected(wanted)}"))
-    elif not scans and depth and all(map(_is_of_no_scan, errors)):
+        errors.append(InputError(folder.name, "folder", _EMPTY, f"expected {_expected(wanted)}") if is_empty else _scanless(folder, wanted))
+    elif not scans and all(map(_is_of_no_scan, errors)) and (depth or is_like(folder, wanted)):
         # A folder without a scan anywhere below it is one mistake, not one for each of its folders.
-        problem = f"{_NO_SCAN} ({_names(wanted)})"
-        errors = [InputError(folder.name, "folder", problem, f"expected {_expected(wanted)}")]
+        errors = [_scanless(folder, wanted)]
     return scans, errors
 
 
@@ -219,7 +222,16 @@ def _names(wanted: tuple[ScanFormat, ...]) -> str:
 
 
 def _expected(wanted: tuple[ScanFormat, ...]) -> str:
-    return "; or ".join(format.expected for format in wanted)
+    return wanted[0].expected if len(wanted) == 1 else f"one of the layouts of docs/formats.md, as {EXAMPLE.expected}"
+
+
+def _scanless(folder: Path, wanted: tuple[ScanFormat, ...]) -> InputError:
+    """What is said of a folder without a scan in it: what it looks like, and what to do."""
+    problem = f"{_NO_SCAN} ({_names(wanted)})"
+    like = likeness(folder, wanted)
+    if like is None:
+        return InputError(folder.name, "folder", problem, f"expected {_expected(wanted)}")
+    return InputError(folder.name, "folder", f"{problem}; {like[0]}", like[1])
 
 
 def _is_text(name: str) -> bool:

@@ -348,7 +348,8 @@ def capture(format_: str) -> list[Case]:
             return glb()
     places = [f"tests.tasks.capture.{place}test_{format_}" for place in ("formats.", "")]
     module = next((place for place in places if find_spec(place) is not None), places[-1])
-    return [folder_of(lambda root: import_module(module).write_sample(root))]
+    test = import_module(module)
+    return [folder_of(write) for write in (test.write_sample, *getattr(test, "FURTHER_SAMPLES", ()))]
 
 
 def library() -> list[Case]:

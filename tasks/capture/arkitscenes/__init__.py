@@ -181,6 +181,7 @@ ARKITSCENES = ScanFormat(
     is_recorded=lambda folder: _is_scan(folder) or any(map(_is_scan, folders_in(folder))),
     files=_files,
     read=read_arkitscenes,
+    signs=(f"*{MESH}", f"{COLOR}/*.png", f"{DEPTH}/*.png", f"{LENSES}/*.pincam", POSES),
     room_stated=_room,
     shared=True,
 )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.files.documents import read_bytes
-from tasks.capture.files.ply import AGAIN, Element, check_counts, check_vertices, header
+from tasks.capture.files.ply import AGAIN, PlyElement, check_counts, check_vertices, header
 from tasks.geometry.meshes import Surface
 
 Column = NDArray[np.generic]
@@ -58,7 +58,7 @@ def read_labelled_ply(path: Path, name: str, element: str, field: str) -> tuple[
     return Surface(vertices, faces, _colors(rows["vertex"])), values
 
 
-def _binary(data: bytes, start: int, order: str, elements: list[Element], name: str) -> dict[str, _Rows]:
+def _binary(data: bytes, start: int, order: str, elements: list[PlyElement], name: str) -> dict[str, _Rows]:
     rows_of: dict[str, _Rows] = {}
     for element in elements:
         lengths = _first_lengths(data, start, order, element, name)
@@ -79,7 +79,7 @@ def _binary(data: bytes, start: int, order: str, elements: list[Element], name: 
     return rows_of
 
 
-def _first_lengths(data: bytes, start: int, order: str, element: Element, name: str) -> dict[int, int]:
+def _first_lengths(data: bytes, start: int, order: str, element: PlyElement, name: str) -> dict[int, int]:
     """How long the lists of an element's first row are, by the number of the field."""
     lengths: dict[int, int] = {}
     for index, field in enumerate(element.fields if element.count else ()):
@@ -100,7 +100,7 @@ _LONGEST = 64
 """Corners of a face; lists of other elements, too, are no longer in files that have labels."""
 
 
-def _text(data: bytes, start: int, elements: list[Element], name: str) -> dict[str, _Rows]:
+def _text(data: bytes, start: int, elements: list[PlyElement], name: str) -> dict[str, _Rows]:
     lines = [line for line in data[start:].split(b"\n") if line.strip()]
     rows_of: dict[str, _Rows] = {}
     for element in elements:
@@ -131,13 +131,13 @@ def _text(data: bytes, start: int, elements: list[Element], name: str) -> dict[s
     return rows_of
 
 
-def _rows(element: Element, values: dict[int, Column]) -> _Rows:
+def _rows(element: PlyElement, values: dict[int, Column]) -> _Rows:
     named = {field[0]: (field, values[index]) for index, field in enumerate(element.fields)}
     plain = {key: value for key, (field, value) in named.items() if len(field) == 2}
     return _Rows(plain, {key: value for key, (field, value) in named.items() if len(field) == 3})
 
 
-def _mixed(element: Element, name: str) -> InputError:
+def _mixed(element: PlyElement, name: str) -> InputError:
     problem = "is broken, or its lists have different lengths"
     return InputError(name, f"element {element.name}", problem, "export the mesh as triangles or as quads")
 

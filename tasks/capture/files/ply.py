@@ -31,7 +31,7 @@ AGAIN = "copy or export the mesh again"
 
 
 @dataclasses.dataclass(frozen=True)
-class Element:
+class PlyElement:
     """An element of the header: its fields as (name, dtype), a list field as (name, count dtype, item dtype)."""
 
     name: str
@@ -90,14 +90,14 @@ def check_vertices(vertices: NDArray[np.float64], name: str) -> None:
         raise InputError(name, "vertex", f"spans {extent:.4g} m, less than any room", "scale the mesh to metres")
 
 
-def header(data: bytes, name: str) -> tuple[str, list[Element], int]:
+def header(data: bytes, name: str) -> tuple[str, list[PlyElement], int]:
     """Byte order ('' for text), elements, and where the content begins."""
     end = data.find(b"end_header", 0, 65536)
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
         raise InputError(name, "header", "is no PLY, or cut inside its header", AGAIN)
     order: str | None = None
-    elements: list[Element] = []
+    elements: list[PlyElement] = []
     for line in data[:end].decode("latin-1").splitlines():
         words = line.split()
         if not words or words[0] in ("ply", "comment", "obj_info"):
@@ -105,7 +105,7 @@ def header(data: bytes, name: str) -> tuple[str, list[Element], int]:
         if words[0] == "format" and len(words) >= 2 and words[1] in _ORDERS:
             order = _ORDERS[words[1]]
         elif words[0] == "element" and len(words) == 3 and words[2].isascii() and words[2].isdigit() and len(words[2]) < 19:
-            elements.append(Element(words[1], int(words[2]), ()))
+            elements.append(PlyElement(words[1], int(words[2]), ()))
         elif words[0] == "property" and elements and (field := _property(words)) is not None:
             elements[-1] = dataclasses.replace(elements[-1], fields=(*elements[-1].fields, field))
         else:
@@ -124,7 +124,7 @@ def _property(words: list[str]) -> tuple[str, ...] | None:
 
 
 def _binary(
-    data: bytes, start: int, order: str, elements: list[Element], name: str
+    data: bytes, start: int, order: str, elements: list[PlyElement], name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]] | None:
     """Vertices, triangles and colors of a binary PLY whose faces are all triangles; None for any other kind."""
     if not order:

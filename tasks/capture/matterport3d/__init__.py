@@ -77,5 +77,6 @@ MATTERPORT3D = ScanFormat(
     is_recorded=lambda folder: bool(_within(folder)) or bool(_within(folder / PLACE)),
     files=_files,
     read=read_matterport,
+    signs=("region*.ply", f"region*{SEGMENTS}", f"region*{ANNOTATION}"),
     within=_within,
 )

@@ -75,5 +75,7 @@ POSED_RGBD = ScanFormat(
     is_recorded=lambda folder: is_framed(folder) or any(map(is_framed, folders_in(folder))),
     files=_files,
     read=read_posed_rgbd,
+    signs=("color/*", "depth/*", "pose*", "*intrinsic*"),
+    is_plain=True,
     shared=True,
 )

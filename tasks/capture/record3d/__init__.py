@@ -167,4 +167,5 @@ RECORD3D = ScanFormat(
     is_recorded=lambda folder: _recognize(folder) is not None,
     files=_files,
     read=read_record3d,
+    signs=(METADATA[0], f"{PLACE}/*.jpg", f"{PLACE}/*.depth"),
 )

@@ -87,10 +87,11 @@ def read_roomplan(scan: Scan) -> Reading:
 
 def _room_type(sections: Any) -> str:
     """`livingRoom` is a living room; of several sections none is the room's."""
-    labels = {entry.get("label") for entry in sections if isinstance(entry, dict)} if isinstance(sections, list) else set()
-    (label,) = labels if len(labels) == 1 else ("",)
-    is_known = isinstance(label, str) and re.fullmatch(r"[A-Za-z]{1,40}", label) and label != "unidentified"
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label).lower() if is_known else ""
+    labels = {str(entry.get("label")) for entry in sections if isinstance(entry, dict)} if isinstance(sections, list) else set()
+    label = labels.pop() if len(labels) == 1 else ""
+    if not re.fullmatch(r"[A-Za-z]{1,40}", label) or label == "unidentified":
+        return ""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label).lower()
 
 
 def _documents(folder: Path) -> Sequence[Path]:
@@ -118,5 +119,6 @@ ROOMPLAN = ScanFormat(
     is_recorded=lambda folder: bool(_documents(folder)),
     files=_files,
     read=read_roomplan,
+    signs=("*.usdz", "*.json"),
     is_modelled=True,
 )

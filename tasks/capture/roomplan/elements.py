@@ -21,7 +21,7 @@ _AGAIN = "export the room again"
 
 
 @dataclasses.dataclass(frozen=True)
-class Element:
+class RoomElement:
     """An element. pose: Its own frame (x along its width, y along its height, z its normal or depth) to the +Z-up frame, 4x4 [m].
     size: Width, height and depth [m], shape (3,). corners: Of its outline in its own frame [m], shape (n, 3), none where it is its
     rectangle. parent: Identifier of the wall that it is in. field: Where it stands in the file."""
@@ -35,7 +35,7 @@ class Element:
     field: str
 
 
-def elements_of(value: Any, name: str, kind: str) -> list[Element]:
+def elements_of(value: Any, name: str, kind: str) -> list[RoomElement]:
     """Elements of a list of the file, of which there may be none.
 
     Raises:
@@ -61,7 +61,7 @@ def elements_of(value: Any, name: str, kind: str) -> list[Element]:
             raise InputError(name, f"{field}.polygonCorners", "must be a list of corners", _AGAIN)
         outline = [json_floats(corner, name, f"{field}.polygonCorners[{at}]", 3) for at, corner in enumerate(corners)]
         elements.append(
-            Element(
+            RoomElement(
                 identifier=_text(entry.get("identifier")),
                 category=_category(entry.get("category"), name, field),
                 pose=Y_UP_TO_Z_UP @ nearest_rigid(pose),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.capture.roomplan.elements import Element
+from tasks.capture.roomplan.elements import RoomElement
 from tasks.geometry.transforms import inverse, transform_points
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ GRAY, FLOOR_GRAY, OBJECT_GRAY = (225, 222, 215), (170, 150, 130), (190, 190, 190
 """The file states no colors: those of plaster, wood and nothing in particular."""
 
 
-def wall_part(wall: Element, holes: Sequence[Element]) -> trimesh.Trimesh:
+def wall_part(wall: RoomElement, holes: Sequence[RoomElement]) -> trimesh.Trimesh:
     """A wall without the doors, windows and openings in it."""
     shape = _outline(wall)
     for hole in holes:
@@ -39,12 +39,12 @@ def wall_part(wall: Element, holes: Sequence[Element]) -> trimesh.Trimesh:
     return _flat_part(shape, wall.pose, GRAY)
 
 
-def floor_part(floor: Element) -> trimesh.Trimesh:
+def floor_part(floor: RoomElement) -> trimesh.Trimesh:
     """A floor with its outline."""
     return _flat_part(_outline(floor), floor.pose, FLOOR_GRAY)
 
 
-def floor_within(walls: Sequence[Element]) -> trimesh.Trimesh:
+def floor_within(walls: Sequence[RoomElement]) -> trimesh.Trimesh:
     """A floor within the lower edges of walls: their convex hull, at the height of the lowest."""
     import shapely
 
@@ -54,17 +54,17 @@ def floor_within(walls: Sequence[Element]) -> trimesh.Trimesh:
     return _flat_part(shapely.MultiPoint(corners[:, :2]).convex_hull, pose, FLOOR_GRAY)
 
 
-def panel_part(element: Element) -> trimesh.Trimesh:
+def panel_part(element: RoomElement) -> trimesh.Trimesh:
     """A door or window: a panel in the plane of its wall."""
     return _box(element, np.array([*element.size[:2], max(float(element.size[2]), PANEL_M)]))
 
 
-def box_part(element: Element) -> trimesh.Trimesh:
+def box_part(element: RoomElement) -> trimesh.Trimesh:
     """An object: its box."""
     return _box(element, np.maximum(element.size, LEAST_M))
 
 
-def _box(element: Element, size: Array) -> trimesh.Trimesh:
+def _box(element: RoomElement, size: Array) -> trimesh.Trimesh:
     import trimesh
 
     part = trimesh.creation.box(size) if (size > 0.0).all() else trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
@@ -72,7 +72,7 @@ def _box(element: Element, size: Array) -> trimesh.Trimesh:
     return _colored(part, OBJECT_GRAY)
 
 
-def _corners(element: Element) -> Array:
+def _corners(element: RoomElement) -> Array:
     """Corners in the element's own frame [m], shape (n, 3)."""
     if len(element.corners) >= 3:
         return element.corners
@@ -80,14 +80,14 @@ def _corners(element: Element) -> Array:
     return np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
 
 
-def _outline(element: Element) -> Any:
+def _outline(element: RoomElement) -> Any:
     """An element's outline in the plane that it lies in; outlines that cross themselves are mended."""
     import shapely
 
     return shapely.make_valid(shapely.Polygon(_corners(element)[:, :2]))
 
 
-def _in_frame(hole: Element, wall: Element) -> Array:
+def _in_frame(hole: RoomElement, wall: RoomElement) -> Array:
     """Corners of a hole in a wall's frame [m], shape (n, 3)."""
     return transform_points(transform_points(_corners(hole), hole.pose), inverse(wall.pose))
 
@@ -98,7 +98,7 @@ def _rectangle(corners: Array) -> Any:
     return shapely.box(*corners[:, :2].min(axis=0), *corners[:, :2].max(axis=0))
 
 
-def _is_in(hole: Element, wall: Element) -> bool:
+def _is_in(hole: RoomElement, wall: RoomElement) -> bool:
     center = _in_frame(hole, wall).mean(axis=0)
     return bool(abs(center[2]) < BESIDE_M and (np.abs(center[:2]) <= 0.5 * wall.size[:2]).all())
 

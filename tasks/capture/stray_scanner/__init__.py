@@ -164,4 +164,5 @@ STRAY_SCANNER = ScanFormat(
     is_recorded=lambda folder: _recognize(folder) is not None,
     files=_files,
     read=read_stray_scanner,
+    signs=(ODOMETRY, CAMERA, f"{DEPTH}/*.png", VIDEO),
 )

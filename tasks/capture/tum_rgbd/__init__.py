@@ -148,4 +148,5 @@ TUM_RGBD = ScanFormat(
     is_recorded=lambda folder: _recognize(folder) is not None,
     files=_files,
     read=read_tum_rgbd,
+    signs=(COLOR, DEPTH, "rgb/*", "depth/*", POSES),
 )

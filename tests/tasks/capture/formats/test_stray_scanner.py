@@ -27,8 +27,8 @@ def test_frames_are_those_of_the_native_format(tmp_path: Path) -> None:
         np.testing.assert_array_equal(mine.color(), native.color())
         assert mine.depth is not None
         assert native.depth is not None
-        np.testing.assert_array_equal(mine.depth()[:, 1::2], native.depth()[:, 1::2])
-        assert not mine.depth()[:, ::2].any()
+        np.testing.assert_array_equal(mine.depth()[:, 10:], native.depth()[:, 10:])
+        assert not mine.depth()[:, :10].any()
         np.testing.assert_allclose(mine.pose, native.pose, atol=1e-9)
         np.testing.assert_allclose([*mine.intrinsics, *mine.depth_intrinsics], [*native.intrinsics, *native.depth_intrinsics], atol=1e-9)
     assert find_gap(only_scan(tmp_path)) is None

@@ -16,7 +16,9 @@ from tasks.capture.wholeness import find_gap
 from tests.tasks.capture.formats.written import (
     assert_same_frames,
     assert_same_instances,
+    labelled_ply,
     only_scan,
+    owner_of,
     read,
     sample,
     write_threerscan,
@@ -26,6 +28,34 @@ from tests.tasks.capture.formats.written import (
 def write_sample(folder: Path) -> None:
     """A room with a chair and three frames."""
     write_threerscan(folder, sample())
+
+
+def write_segments_sample(folder: Path) -> None:
+    """The same room by the segments of its textured mesh, with what says which scans are of one room."""
+    write_threerscan(folder, dataclasses.replace(sample(), frames=()), is_labelled=False)
+    (folder / "3RScan.json").write_text(json.dumps([{"reference": "first", "scans": [{"reference": folder.name}]}]))
+
+
+def write_text_sample(folder: Path) -> None:
+    """The same room with its labelled mesh as text, and nothing else but the labels."""
+    write_sample(folder)
+    for path in (*folder.glob("*.obj"), *folder.glob("*.png"), *folder.glob("*.segs.v2.json")):
+        path.unlink()
+    surface = sample().surface
+    assert surface is not None
+    (folder / "labels.instances.annotated.v2.ply").write_bytes(labelled_ply(surface, owner_of(sample()) + 1, is_text=True))
+
+
+FURTHER_SAMPLES = (write_segments_sample, write_text_sample)
+
+
+def test_a_mesh_of_labels_alone_has_no_colors(tmp_path: Path) -> None:
+    write_text_sample(tmp_path / "a")
+    reading = read(tmp_path)
+    assert reading.surface is not None
+    assert (reading.surface.colors == 180).all()
+    assert [group.raw_label for group in reading.groups or ()] == [group.raw_label for group in sample().groups or ()]
+    assert reading.degradations == ("no mesh.refined.v2.obj in the scan: its mesh has no colors",)
 
 
 @pytest.mark.parametrize("is_labelled", [True, False])

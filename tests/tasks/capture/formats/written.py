@@ -303,7 +303,7 @@ def write_tum_rgbd(folder: Path, frames: Sequence[FrameSource], is_tracked: bool
 
 
 def write_stray_scanner(folder: Path, frames: Sequence[FrameSource], is_extracted: bool = True) -> Path:
-    """Poses are of an OpenCV camera in ARKit's frame, +Y up; half of each depth image is where the sensor has no confidence."""
+    """Poses are of an OpenCV camera in ARKit's frame, +Y up; a quarter of each depth image is where the sensor has no confidence."""
     fx, fy, cx, cy = frames[0].intrinsics
     files: dict[str, bytes | str] = {"camera_matrix.csv": f"{fx!r}, 0.0, {cx!r}\n0.0, {fy!r}, {cy!r}\n0.0, 0.0, 1.0\n", "rgb.mp4": b"ftyp"}
     rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
@@ -314,7 +314,7 @@ def write_stray_scanner(folder: Path, frames: Sequence[FrameSource], is_extracte
         rows.append(", ".join([repr(index / 60), f"{index:06d}", *map(repr, numbers)]))
         depth = millimeters(frame)
         confidence = np.full(depth.shape, 2, dtype=np.uint8)
-        confidence[:, ::2] = 0
+        confidence[:, : depth.shape[1] // 4] = 0
         files |= {f"depth/{index:06d}.png": png(depth), f"confidence/{index:06d}.png": png(confidence)}
         if is_extracted:
             files[f"rgb/{index:06d}.png"] = png(frame.color())
