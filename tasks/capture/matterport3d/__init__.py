@@ -53,7 +53,11 @@ def read_matterport(scan: Scan) -> Reading:
 
 
 def _within(folder: Path) -> Sequence[tuple[Path, str]]:
-    """Regions in a folder, which is `region_segmentations` of a house, or another one that has their files."""
+    """Regions of a house, in its folder `region_segmentations`, which may be given itself, or in another one that has their files."""
+    return [*_regions(folder), *_regions(folder / PLACE)]
+
+
+def _regions(folder: Path) -> list[tuple[Path, str]]:
     if not folder.is_dir():
         return []
     files = {path.name: path for path in folder.iterdir() if not path.is_dir()}
@@ -74,7 +78,7 @@ MATTERPORT3D = ScanFormat(
     dataset="matterport3d",
     expected=f"{PLACE}/region0.ply with region0{SEGMENTS} and region0{ANNOTATION}",
     recognize=lambda folder: None,
-    is_recorded=lambda folder: bool(_within(folder)) or bool(_within(folder / PLACE)),
+    is_recorded=lambda folder: bool(_within(folder)),
     files=_files,
     read=read_matterport,
     signs=("region*.ply", f"region*{SEGMENTS}", f"region*{ANNOTATION}"),

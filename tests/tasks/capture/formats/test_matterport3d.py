@@ -28,6 +28,10 @@ def test_instances_are_those_of_the_native_format(tmp_path: Path) -> None:
     scan = only_scan(tmp_path)
     assert (scan.scene_id, room_of(scan)) == ("matterport3d/17DRP5sb8fy_region0",) * 2
     assert only_scan(scan.path) == scan, "a region can be named by its mesh"
+    assert {only_scan(scan.path.parents[k]) for k in (0, 1)} == {scan}
+    place = tmp_path / "deeper" / "scans"
+    write_sample(place / "17DRP5sb8fy")
+    assert only_scan(tmp_path / "deeper").scan == scan.scan, "as deep as other scans are looked for"
     assert find_gap(scan) is None
 
 
