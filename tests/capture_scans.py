@@ -60,7 +60,7 @@ def plate(corner: Sequence[float], u: Sequence[float], v: Sequence[float], step:
     return vertices, np.concatenate([np.stack([i, i + nv, i + nv + 1], axis=1), np.stack([i, i + nv + 1, i + 1], axis=1)])
 
 
-def box_plates(size: Sequence[float], pose: NDArray[np.float64]) -> Mesh:
+def box_plates(size: Sequence[float], pose: NDArray[np.float64], step: float = 0.05) -> Mesh:
     """Vertices and triangles of a box, facing outward."""
     h = np.asarray(size, float) / 2
     vertices, faces, count = [], [], 0
@@ -71,7 +71,7 @@ def box_plates(size: Sequence[float], pose: NDArray[np.float64]) -> Mesh:
                 u, v = v, u
             u, v = u * 2 * h, v * 2 * h
             corner = sign * h * np.roll(np.eye(3), axis, axis=0)[0] - (u + v) / 2
-            p, f = plate(corner, u, v)
+            p, f = plate(corner, u, v, step)
             vertices.append(p)
             faces.append(f + count)
             count += len(p)
@@ -80,18 +80,19 @@ def box_plates(size: Sequence[float], pose: NDArray[np.float64]) -> Mesh:
 
 
 def box_room(
-    objects: Sequence[tuple[str, tuple[float, ...], tuple[float, ...], float]] = OBJECTS, ceiling: bool = True, cameras: int = 12
-) -> BoxRoom:
-    """Floor, walls, ceiling and boxes, as a scanner would see them."""
+    objects: Sequence[tuple[str, tuple[float, ...], tuple[float, ...], float]] = OBJECTS, ceiling: bool = True, cameras: int = 12,
+    step: float = 0.05,
+) -> BoxRoom:  # fmt: skip
+    """Floor, walls, ceiling and boxes, as a scanner would see them, with a vertex every `step` [m]."""
     x, y, z = ROOM
-    pieces = [("floor", plate([-x / 2, -y / 2, 0], [x, 0, 0], [0, y, 0]))]
+    pieces = [("floor", plate([-x / 2, -y / 2, 0], [x, 0, 0], [0, y, 0], step))]
     pieces += [
-        ("wall", plate([-x / 2, -y / 2, 0], [0, 0, z], [x, 0, 0])), ("wall", plate([-x / 2, y / 2, 0], [x, 0, 0], [0, 0, z])),
-        ("wall", plate([-x / 2, -y / 2, 0], [0, y, 0], [0, 0, z])), ("wall", plate([x / 2, -y / 2, 0], [0, 0, z], [0, y, 0])),
+        ("wall", plate([-x / 2, -y / 2, 0], [0, 0, z], [x, 0, 0], step)), ("wall", plate([-x / 2, y / 2, 0], [x, 0, 0], [0, 0, z], step)),
+        ("wall", plate([-x / 2, -y / 2, 0], [0, y, 0], [0, 0, z], step)), ("wall", plate([x / 2, -y / 2, 0], [0, 0, z], [0, y, 0], step)),
     ]  # fmt: skip
     if ceiling:
-        pieces.append(("ceiling", plate([-x / 2, -y / 2, z], [0, y, 0], [x, 0, 0])))
-    pieces += [(label, box_plates(size, yaw_pose(yaw, center))) for label, center, size, yaw in objects]
+        pieces.append(("ceiling", plate([-x / 2, -y / 2, z], [0, y, 0], [x, 0, 0], step)))
+    pieces += [(label, box_plates(size, yaw_pose(yaw, center), step)) for label, center, size, yaw in objects]
     vertices, faces, instance, colors, count = [], [], [], [], 0
     for index, (_, (points, triangles)) in enumerate(pieces):
         vertices.append(points)

@@ -115,6 +115,7 @@ ELSEWHERE = {
     "tasks/candidates/__init__.py library": "the outside input of the stage",
     "tasks/capture/glb.py model": "a file of a scan",
     "tasks/capture/glb.py textured": "a word in names of nodes that says nothing of what they are",
+    "tasks/capture/replica_v1/__init__.py habitat": "a folder of that data set",
     "tasks/exports/mjcf/rules.py model": "an attribute of the file that the rules read",
     "tasks/exports/mesh_files.py glb": "the ending of a file that a robot's or a world's description names",
     "tasks/exports/usd/body_rules.py extents": "the size of a body",

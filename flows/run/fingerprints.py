@@ -238,9 +238,10 @@ class FileHashes:
         return value
 
     def entries(self, root: Path, files: Iterable[Path]) -> list[tuple[str, str]]:
-        """Files as their paths relative to `root` and the hashes of their contents, sorted; raises what `hash` raises."""
-        named = [(path, path.relative_to(root).as_posix()) for path in sorted(files)]
-        return [(name, self.hash(path, f"{root.name}/{name}")) for path, name in named]
+        """Files as their paths relative to `root` and the hashes of their contents, sorted; raises what `hash` raises. One that lies
+        elsewhere, as what the scans of a folder share, goes by its name: it is the same wherever it lies."""
+        named = [(path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name, path) for path in files]
+        return [(name, self.hash(path, f"{root.name}/{name}")) for name, path in sorted(named, key=lambda item: item[0].split("/"))]
 
     def tree(self, root: Path, files: Iterable[Path]) -> str:
         """Hash of a set of files: their paths relative to `root` and their contents; raises what `hash` raises."""

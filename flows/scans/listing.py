@@ -14,7 +14,7 @@ from typing import Any, ClassVar, cast
 
 from flows.run.fingerprints import digest
 from schemas.errors import InputError
-from tasks.capture.formats import scan_files
+from tasks.capture.formats import format_of, scan_files
 from tasks.capture.layout import leads_up
 from tasks.capture.premises import Premises
 from tasks.capture.scan import Scan
@@ -166,10 +166,26 @@ def files_of(scan: Scan) -> tuple[ScanFile, ...]:
     listed = _listed(root, root) if isinstance(root, ListedPath) else _scanned(root, "", DEPTH if whole else 0, scan.premises)
     by_path = {file.path: file for file in listed}
     if whole:
-        return tuple(sorted(by_path.values()))
+        return tuple(sorted([*by_path.values(), *_shared(scan, root)]))
     name = scan.path.name
     wanted = {path.name for path in scan_files(scan)}
     return tuple(sorted(file for path, file in by_path.items() if path in wanted or path.startswith((name, f".{name}"))))
+
+
+def _shared(scan: Scan, root: Path) -> Iterator[ScanFile]:
+    """What the scan is read from in the folder above, where scans of its format share files."""
+    if not format_of(scan).shared:
+        return
+    for path in scan_files(scan):
+        if not path.is_relative_to(root):
+            yield ScanFile(f"../{path.name}", *_state(path))
+
+
+def _state(path: Path) -> tuple[int, int, str]:
+    if isinstance(path, ListedPath):
+        return path.entry.size, path.entry.modified_ns, path.entry.tag
+    stat = path.stat()
+    return stat.st_size, stat.st_mtime_ns, str(stat.st_ctime_ns)
 
 
 def _listed(folder: ListedPath, root: ListedPath) -> Iterator[ScanFile]:

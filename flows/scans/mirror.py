@@ -26,6 +26,7 @@ from flows.scans.listing import ListedPath, ScanFile, ScanListing, files_of, lis
 from schemas.errors import InputError
 from schemas.text import one_line
 from tasks.capture.formats import find_scans, scan_files
+from tasks.capture.premises import place_of
 from tasks.capture.scan import Scan
 from warehouse.sharing.writer import new_token, writer_of
 from warehouse.storage.bucket import Bucket, Object
@@ -292,13 +293,14 @@ class _Version:
 def _needed(scan: Scan) -> list[tuple[ScanFile, str]]:
     """Objects that a scan is read from; all that lie in its folder where these alone would not be known for the same scan."""
     root = scan.path if scan.path.is_dir() else scan.path.parent
-    read = [(_entry(path), path.relative_to(root).as_posix()) for path in scan_files(scan)]
+    read = [(_entry(path), place_of(path, root)) for path in scan_files(scan)]
     if scan.path.is_file():
         return read
     again, _ = find_scans(listed_folder(scan.path.name, [dataclasses.replace(e, path=below) for e, below in read]), scan.format)
     if [(other.scan, len(other.path.parts)) for other in again] == [(scan.scan, 1)]:
         return read
-    return [(_entry(root / file.path), file.path) for file in files_of(scan)]
+    own = {(_entry(root / file.path), file.path) for file in files_of(scan) if not file.path.startswith("../")}
+    return sorted(own | set(read))
 
 
 def _entry(path: Path) -> ScanFile:

@@ -2,5 +2,8 @@
 
 from __future__ import annotations
 
-SCAN_FORMATS = ("scannet", "posed_rgbd", "glb")
+SCAN_FORMATS = (
+    "scannet", "scannetpp", "threerscan", "replica_v1", "matterport3d", "arkitscenes", "tum_rgbd", "stray_scanner", "record3d",
+    "roomplan", "posed_rgbd", "glb",
+)  # fmt: skip
 """In the order in which they are looked for."""

@@ -1,4 +1,5 @@
-"""The scan formats, which scans a folder holds, and which files each is read from. Opens nothing but LICENSE.txt."""
+"""The scan formats, which scans a folder holds, and which files each is read from. Opens nothing but
+LICENSE.txt, and what says which scans are of one room."""
 
 from __future__ import annotations
 
@@ -11,12 +12,16 @@ from schemas.errors import InputError
 from schemas.families.scan_formats import SCAN_FORMATS
 from schemas.files import stays_in
 from tasks.capture.layout import folders_in
+from tasks.capture.likeness import is_like, likeness
 from tasks.capture.premises import stores
 from tasks.capture.scan import Scan, ScanFormat, files_named, leaving, license_path
 from tasks.families import member, members
 
 FORMATS = members("tasks.capture", SCAN_FORMATS, ScanFormat)
 """Formats that are read, in the order in which they are looked for."""
+
+EXAMPLE = next((format for format in FORMATS if format.is_plain), FORMATS[0])
+"""What errors name where any format would do."""
 
 
 def format_of(scan: Scan) -> ScanFormat:
@@ -33,8 +38,15 @@ def format_of(scan: Scan) -> ScanFormat:
 
 
 def room_of(scan: Scan) -> str:
-    """Id of the physical room of a scan: rescans, where its format tells by their names, are of one; otherwise the scene's own."""
-    pattern = format_of(scan).room
+    """Id of the physical room of a scan: rescans, where its format tells by names or files, are of one; otherwise the scene's own.
+
+    Raises:
+        InputError: the file that says so is broken.
+    """
+    stated, pattern = format_of(scan).room_stated, format_of(scan).room
+    name = stated(scan) if stated is not None else None
+    if name:
+        return dataclasses.replace(scan, scan=name).scene_id
     match = re.fullmatch(pattern, scan.scene_id) if pattern else None
     return match[1] if match else scan.scene_id
 
@@ -156,6 +168,10 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
     wanted = search.wanted
     if folder.is_file():
         for format in wanted:
+            inside = format.within(folder.parent) if format.within is not None else ()
+            for path, name in inside:
+                if path == folder:
+                    return [search.scan(format, folder, name)], []
             if format.suffix and folder.suffix.lower() == format.suffix:
                 return [search.scan(format, folder, folder.stem)], []
         return [], [InputError(folder.name, "file", "is no scan", f"expected {_expected(wanted)}")]
@@ -164,20 +180,20 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
         return [single], []
     if depth and not search.admits(folder):
         return [], [leaving(folder)]
-    files = [(format, path) for format in wanted if format.suffix for path in files_named(folder, format.suffix)]
-    scans = [search.scan(format, path, path.stem) for format, path in files if search.admits(path)]
-    errors = [leaving(path) for _, path in files if not search.admits(path)]
+    files = [(format, path, name) for format in wanted if format.within is not None for path, name in format.within(folder)]
+    known = {path for _, path, _ in files}
+    files += [(f, path, path.stem) for f in wanted if f.suffix for path in files_named(folder, f.suffix) if path not in known]
+    scans = [search.scan(format, path, name) for format, path, name in files if search.admits(path)]
+    errors = [leaving(path) for _, path, _ in files if not search.admits(path)]
     for child in folders_in(folder) if depth < 2 else []:
         more, wrong = _search(child, search, depth + 1)
         scans, errors = scans + more, errors + [error for error in wrong if str(error) not in map(str, errors)]
     if not scans and not errors:
         is_empty = not any(folder.iterdir())
-        problem = _EMPTY if is_empty else f"{_NO_SCAN} ({_names(wanted)})"
-        errors.append(InputError(folder.name, "folder", problem, f"expected {_expected(wanted)}"))
-    elif not scans and depth and all(map(_is_of_no_scan, errors)):
+        errors.append(InputError(folder.name, "folder", _EMPTY, f"expected {_expected(wanted)}") if is_empty else _scanless(folder, wanted))
+    elif not scans and all(map(_is_of_no_scan, errors)) and (depth or is_like(folder, wanted)):
         # A folder without a scan anywhere below it is one mistake, not one for each of its folders.
-        problem = f"{_NO_SCAN} ({_names(wanted)})"
-        errors = [InputError(folder.name, "folder", problem, f"expected {_expected(wanted)}")]
+        errors = [_scanless(folder, wanted)]
     return scans, errors
 
 
@@ -206,7 +222,16 @@ def _names(wanted: tuple[ScanFormat, ...]) -> str:
 
 
 def _expected(wanted: tuple[ScanFormat, ...]) -> str:
-    return "; or ".join(format.expected for format in wanted)
+    return wanted[0].expected if len(wanted) == 1 else f"one of the layouts of docs/formats.md, as {EXAMPLE.expected}"
+
+
+def _scanless(folder: Path, wanted: tuple[ScanFormat, ...]) -> InputError:
+    """What is said of a folder without a scan in it: what it looks like, and what to do."""
+    problem = f"{_NO_SCAN} ({_names(wanted)})"
+    like = likeness(folder, wanted)
+    if like is None:
+        return InputError(folder.name, "folder", problem, f"expected {_expected(wanted)}")
+    return InputError(folder.name, "folder", f"{problem}; {like[0]}", like[1])
 
 
 def _is_text(name: str) -> bool:

@@ -21,11 +21,11 @@ _TRAJECTORIES = (
     "trajectory.log", "trajectory.txt", "traj.txt", "poses.txt", "pose.txt", "groundtruth.txt", "poses.log",
     "livingroom.freiburg", "CameraTrajectory.txt",
 )  # fmt: skip
-_COLOR_INTRINSICS = (
+COLOR_INTRINSICS = (
     "intrinsic/intrinsic_color.txt", "intrinsics_color.txt", "intrinsic_color.txt", "intrinsics.json", "camera_intrinsic.json",
     "intrinsic.json", "intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "camera.txt", "K.txt",
 )  # fmt: skip
-_DEPTH_INTRINSICS = ("intrinsic/intrinsic_depth.txt", "intrinsics_depth.txt", "intrinsic_depth.txt")
+DEPTH_INTRINSICS = ("intrinsic/intrinsic_depth.txt", "intrinsics_depth.txt", "intrinsic_depth.txt")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,22 +55,24 @@ class FrameLayout:
         return [path for path in (*paths, self.trajectory, self.color_intrinsics, self.depth_intrinsics) if path is not None]
 
 
-def frame_layout(folder: Path, premises: Premises | None = None) -> FrameLayout | None:
+def frame_layout(folder: Path, premises: Premises | None = None, above: bool = False) -> FrameLayout | None:
     """Exported frames in `folder` or in one folder in it (`<scan>_2d`, `frames`, ...); None without any.
 
-    Links that leave the premises, by default those that leave the folder, are left out.
+    Links that leave the premises, by default those that leave the folder, are left out. above: Intrinsics may lie one folder above,
+    too, as where several walks were recorded with one camera.
     """
     premises = premises or Premises((folder,))
     for place in (folder, *filter(premises.admits, folders_in(folder))):
         frames = _paired(place, premises) or _flat(place, premises)
         if frames:
             places = (place, folder)
+            shared = (*places, folder.parent) if above else places
             return FrameLayout(
                 folder=place,
                 frames=tuple(frames),
                 trajectory=None if any(frame.pose for frame in frames) else _first(places, _TRAJECTORIES, premises),
-                color_intrinsics=_first(places, _COLOR_INTRINSICS, premises),
-                depth_intrinsics=_first(places, _DEPTH_INTRINSICS, premises),
+                color_intrinsics=_first(shared, COLOR_INTRINSICS, premises),
+                depth_intrinsics=_first(shared, DEPTH_INTRINSICS, premises),
             )
     return None
 

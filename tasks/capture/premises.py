@@ -31,11 +31,16 @@ class Premises:
 
     def note(self, folder: Path) -> str:
         """What was left out, in a line; '' when nothing was. `folder`: the scan's."""
-        names = sorted(path.relative_to(folder).as_posix() for path in self.left_out)
+        names = sorted(place_of(path, folder) for path in self.left_out)
         if not names:
             return ""
         listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
         return f"{listed}: {'links that lead' if len(names) > 1 else 'a link that leads'} out of the folder of scans, left out"
+
+
+def place_of(path: Path, folder: Path) -> str:
+    """A scan's file by its path below the scan's folder; one that scans share, in the folder above, by its name."""
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
 
 
 def stores(folders: Iterable[str | Path]) -> tuple[Path, ...]:

@@ -88,3 +88,34 @@ def groups_of(named: Sequence[tuple[str, str, NDArray[np.int64]]], owner: NDArra
     return tuple(
         Group(source_id, label, vertices, np.sort(order[starts[i] : starts[i + 1]])) for i, (source_id, label, vertices) in enumerate(named)
     )
+
+
+def groups_of_faces(named: Sequence[tuple[str, str]], owner: NDArray[np.int64], surface: Surface) -> tuple[Group, ...]:
+    """Instances of a mesh whose faces are labelled; those without a face are left out. A vertex is of the instance that most of its
+    faces are of; one that loses all of its vertices to others keeps those of its faces that it has. named: Id and label of each
+    instance. owner: Instance per face, -1 for none, shape (m,)."""
+    of_vertex = _most_frequent(surface.faces, owner, len(surface.vertices))
+    vertices, faces = by_owner(of_vertex, len(named)), by_owner(owner, len(named))
+    groups = []
+    for (source_id, label), own_vertices, own_faces in zip(named, vertices, faces, strict=True):
+        if len(own_faces):
+            own = own_vertices if len(own_vertices) else np.unique(surface.faces[own_faces])
+            groups.append(Group(source_id, label, own, own_faces))
+    return tuple(groups)
+
+
+def _most_frequent(faces: NDArray[np.int64], owner: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Of each vertex the owner that most of its faces have, the lowest of several; -1 where none has one, shape (count,)."""
+    labelled = owner >= 0
+    pairs, votes = np.unique(np.stack([faces[labelled].ravel(), np.repeat(owner[labelled], 3)], axis=1), axis=0, return_counts=True)
+    result = np.full(count, -1, dtype=np.int64)
+    order = np.lexsort((-pairs[:, 1], votes)) if len(pairs) else np.zeros(0, dtype=np.int64)
+    result[pairs[order, 0]] = pairs[order, 1]  # the last that is written stays: most votes, then the lowest number
+    return result
+
+
+def by_owner(owner: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
+    """Sorted indices of the elements of each owner."""
+    order = np.argsort(owner, kind="stable")
+    starts = np.searchsorted(owner[order], np.arange(count + 1))
+    return [order[starts[i] : starts[i + 1]] for i in range(count)]

@@ -29,7 +29,11 @@ class ScanFormat:
     suffix: Of formats whose scans are single files: how their names end, in lower case.
     is_modelled: Somebody drew it: its axes are the author's, and its labels are names of nodes.
     check: Refuses what would become no scene, once its labels are known: takes the scan, its instances, what their labels mean, and
-    its surface. room: Pattern of scene ids that are scans of one room, which its first group names.
+    its surface. signs: Patterns of paths that its scans have, by which a folder that is none is told what it lacks. is_plain: Anybody
+    can write it: what errors name where any format would do. room: Pattern of scene ids that are scans of one room, which its first
+    group names. room_stated: The room's name where files say which scans are of one, None where they do not. shared: Files that several
+    scans have in common may lie one folder above them. within: Of formats whose scans lie side by side in one folder: their main files
+    and names, by the names in the folder.
 
     `recognize` and `files` raise InputError for what is no scan and looks like one, `read` and `check` for files that cannot be used.
     What tells a broken copy from a whole one is only asked by a watch, and lies in `wholeness` of the format's package, where it
@@ -46,7 +50,12 @@ class ScanFormat:
     suffix: str = ""
     is_modelled: bool = False
     check: Callable[[Scan, Sequence[Group], Sequence[Label], Surface], None] | None = None
+    signs: tuple[str, ...] = ()
+    is_plain: bool = False
     room: str = ""
+    room_stated: Callable[[Scan], str | None] | None = None
+    shared: bool = False
+    within: Callable[[Path], Sequence[tuple[Path, str]]] | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -345,7 +346,10 @@ def capture(format_: str) -> list[Case]:
             return posed_rgbd()
         case "glb":
             return glb()
-    return [folder_of(import_module(f"tests.tasks.capture.test_{format_}").write_sample)]
+    places = [f"tests.tasks.capture.{place}test_{format_}" for place in ("formats.", "")]
+    module = next((place for place in places if find_spec(place) is not None), places[-1])
+    test = import_module(module)
+    return [folder_of(write) for write in (test.write_sample, *getattr(test, "FURTHER_SAMPLES", ()))]
 
 
 def library() -> list[Case]:

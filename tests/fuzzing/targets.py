@@ -80,19 +80,22 @@ def _models() -> list[Target]:
 
 def _readers() -> list[Target]:
     """Parsers of files within those: they are cheap, so that much more can be tried."""
-    return [
+    from schemas.families.scan_formats import SCAN_FORMATS
+
+    found = [
         Target("glb", PARSER, seeds.glb, _read_glb),
         Target("ply", PARSER, seeds.ply, _read_ply),
         Target("sens", PARSER, seeds.sens, _read_sens),
-        Target("posed_rgbd", PARSER, seeds.posed_rgbd, _read_posed_rgbd),
         Target("poses", PARSER, seeds.poses, _read_poses),
         Target("images", PARSER, seeds.images, _read_images),
         Target("labels", PARSER, seeds.labels, _read_labels),
         Target("navmesh", PARSER, seeds.navmesh, _read_navmesh),
-        Target("scannet", PARSER, lambda: seeds.capture("scannet"), _read_scannet),
         Target("settings", PARSER, seeds.settings, _read_settings),
         Target("parameters", PARSER, seeds.parameters, _read_parameters),
     ]
+    known = {target.name for target in found}
+    scans = [Target(name, PARSER, lambda name=name: seeds.capture(name), _read_scan(name)) for name in SCAN_FORMATS if name not in known]
+    return [*found, *scans]
 
 
 def _read_library(folder: Path) -> None:
@@ -296,20 +299,6 @@ def _read_sens(folder: Path) -> None:
                 image(index)
 
 
-def _read_posed_rgbd(folder: Path) -> None:
-    from tasks.capture.formats import find_scans, scan_files
-    from tasks.capture.posed_rgbd import read_posed_rgbd
-    from tasks.capture.wholeness import find_gap
-
-    for scan in find_scans(folder, "posed_rgbd")[0]:
-        find_gap(scan)
-        scan_files(scan)
-        for frame in read_posed_rgbd(scan).frames:
-            for image in (frame.color, frame.depth):
-                with contextlib.suppress(LakeError):
-                    _ = image is not None and image()
-
-
 def _read_poses(folder: Path) -> None:
     from tasks.capture.files.trajectory import read_trajectory
 
@@ -349,15 +338,24 @@ def _read_navmesh(folder: Path) -> None:
     walkable_region(found)
 
 
-def _read_scannet(folder: Path) -> None:
-    from tasks.capture.formats import find_scans, scan_files
-    from tasks.capture.scannet import read_scannet
-    from tasks.capture.wholeness import find_gap
+def _read_scan(format_: str) -> Callable[[Path], None]:
+    """A scan as far as its reader goes, with the pixels of two frames."""
 
-    for scan in find_scans(folder, "scannet")[0]:
-        find_gap(scan)
-        scan_files(scan)
-        read_scannet(scan)
+    def read(folder: Path) -> None:
+        from tasks.capture.formats import find_scans, format_of, room_of, scan_files
+        from tasks.capture.wholeness import find_gap
+
+        for scan in find_scans(folder, format_)[0]:
+            find_gap(scan)
+            scan_files(scan)
+            frames = format_of(scan).read(scan).frames
+            for frame in frames[:2]:
+                for image in (frame.color, frame.depth):
+                    with contextlib.suppress(LakeError):
+                        _ = image is not None and image()
+            room_of(scan)
+
+    return read
 
 
 def _read_settings(folder: Path) -> None:

@@ -84,10 +84,27 @@ def floats(text: str, name: str, field: str, count: int) -> NDArray[np.float64]:
         raise InputError(name, field, f"is not a list of numbers: {text.strip()[:40]!r}", _AGAIN) from error
 
 
+def json_floats(value: Any, name: str, field: str, count: int) -> NDArray[np.float64]:
+    """Numbers of a JSON list, or of lists in it, below a million, shape (count,).
+
+    Raises:
+        InputError: it holds something else, or another number of them.
+    """
+    flat = [v for part in value for v in (part if isinstance(part, list) else [part])] if isinstance(value, list) else []
+    if len(flat) != count or not all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e6 for v in flat):
+        raise InputError(name, field, f"must be {count} numbers", _AGAIN)
+    return np.array(flat, dtype=np.float64)
+
+
 def settings(text: str) -> dict[str, str]:
     """`key = value` lines of a scan's metadata file."""
     pairs = (line.partition("=") for line in text.splitlines())
     return {key.strip(): value.strip() for key, mark, value in pairs if mark and key.strip()}
+
+
+def plain_text(label: str) -> str:
+    """A label of a JSON file in one line of at most 200 letters. A byte that is no UTF-8 cannot come from JSON, a lone surrogate can."""
+    return " ".join(label.encode("utf-8", "replace").decode().split())[:200]
 
 
 def license_of(path: Path | None) -> str | None:

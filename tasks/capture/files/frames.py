@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -42,38 +42,53 @@ def exported_frames(
     Raises:
         InputError: images of different sizes, no intrinsics, or a trajectory that cannot be read.
     """
-    sizes = _one_size([(f.color, name_of(f.color, folder)) for f in layout.frames], "color")
+    sizes = one_size([(f.color, name_of(f.color, folder)) for f in layout.frames], "color")
     depths = [(f.depth, name_of(f.depth, folder)) for f in layout.frames if f.depth is not None]
-    depth_size = _one_size(depths, "depth") if depths else None
+    depth_size = one_size(depths, "depth") if depths else None
     color_intrinsics, scale = _color_intrinsics(layout, folder, stated, sizes)
     depth_intrinsics = _depth_intrinsics(layout, folder, stated, color_intrinsics, sizes, depth_size or sizes)
-    ids = frame_ids(f.key for f in layout.frames)
     described = f"{pose_format(layout, folder)} {convention}"
     if layout.trajectory is not None:
         poses, reasons = read_trajectory(layout.trajectory, name_of(layout.trajectory, folder), [f.key for f in layout.frames], described)
     else:
         poses, reasons = _pose_files(layout.frames, folder, described)
+    lenses = [(color_intrinsics, depth_intrinsics)] * len(layout.frames)
+    return frame_sources(layout.frames, folder, sizes, depth_size, lenses, scale, poses, reasons)
+
+
+def frame_sources(
+    files: Sequence[FrameFiles], folder: Path, size: tuple[int, int], depth_size: tuple[int, int] | None,
+    lenses: Sequence[tuple[Intrinsics, Intrinsics]], scale: float, poses: Sequence[NDArray[np.float64] | None], reasons: dict[int, str],
+    depth: Callable[[Path], Callable[[], NDArray[np.float32]]] | None = None,
+) -> tuple[tuple[FrameSource, ...], list[str]]:  # fmt: skip
+    """Frames whose color and depth are files of a scan's folder, and a note on those without a usable pose.
+
+    size, depth_size: Width and height of all images [px]. lenses: Intrinsics of color and depth of each frame [px]. scale: Units of
+    the depth images per metre. poses: OpenCV camera to scan frame, 4x4 [m], None where missing. reasons: Why, by frame, where it is
+    more than missing. depth: What reads a depth file, where it is no image.
+    """
+    ids = frame_ids(f.key for f in files)
     checked, notes = checked_poses(ids, poses, reasons)
     frames = []
-    for frame, frame_id, pose in zip(layout.frames, ids, checked, strict=True):
-        color_name = name_of(frame.color, folder)
-        depth = None
+    for frame, frame_id, pose, (lens, depth_lens) in zip(files, ids, checked, lenses, strict=True):
+        read: Callable[[], NDArray[np.float32]] | None = None
         if frame.depth is not None and depth_size is not None:
-            depth = partial(read_depth, frame.depth, name_of(frame.depth, folder), depth_size, scale)
+            name = name_of(frame.depth, folder)
+            read = partial(read_depth, frame.depth, name, depth_size, scale) if depth is None else depth(frame.depth)
         frames.append(
             FrameSource(
                 frame_id=frame_id,
                 color_file=frame.color.relative_to(folder).as_posix(),
                 depth_file=frame.depth.relative_to(folder).as_posix() if frame.depth is not None else None,
-                width=sizes[0],
-                height=sizes[1],
-                intrinsics=color_intrinsics,
+                width=size[0],
+                height=size[1],
+                intrinsics=lens,
                 depth_size=depth_size,
-                depth_intrinsics=depth_intrinsics,
+                depth_intrinsics=depth_lens,
                 depth_scale=scale,
                 pose=pose,
-                color=partial(read_color, frame.color, color_name, sizes),
-                depth=depth,
+                color=partial(read_color, frame.color, name_of(frame.color, folder), size),
+                depth=read,
             )
         )
     return tuple(frames), notes
@@ -151,7 +166,7 @@ def _pose_files(frames: Sequence[FrameFiles], folder: Path, described: str) -> t
     return poses, reasons
 
 
-def _one_size(images: Iterable[tuple[Path, str]], field: str) -> tuple[int, int]:
+def one_size(images: Iterable[tuple[Path, str]], field: str) -> tuple[int, int]:
     """The size that all images have; the most frequent one is taken for the right one."""
     sizes = [(image_size(path, name), name) for path, name in images]
     expected = max(sorted(Counter(size for size, _ in sizes).items()), key=lambda item: item[1])[0]
@@ -166,15 +181,27 @@ def _color_intrinsics(layout: FrameLayout, folder: Path, stated: dict[str, str],
     """Color intrinsics at the images' own size [px], and depth units per metre."""
     path = layout.color_intrinsics
     if path is not None:
-        name = name_of(path, folder)
-        if path.suffix == ".json":
-            return _json_intrinsics(read_json(path, name), name, size)
-        return _scaled_to_fit(matrix_intrinsics(read_text(path, name), name), _stated_size(stated, "color"), size), DEPTH_SCALE
+        return intrinsics_file(path, folder, size, DEPTH_SCALE, _stated_size(stated, "color"))
     values = _stated_intrinsics(stated, "color", folder)
     if values is None:
         remedy = "write intrinsics.json with fx, fy, cx, cy, width, height, depth_scale"
         raise InputError(folder.name, "intrinsics", "the scan states none", remedy)
     return _scaled_to_fit(values, _stated_size(stated, "color"), size), DEPTH_SCALE
+
+
+def intrinsics_file(
+    path: Path, folder: Path, size: tuple[int, int], scale: float, stated: tuple[int, int] | None = None
+) -> tuple[Intrinsics, float]:
+    """Intrinsics that a file states, at the images' own `size` [px], and depth units per metre, which are `scale` unless it says so.
+    stated: Size that the intrinsics are for, where that is known.
+
+    Raises:
+        InputError: it states none.
+    """
+    name = name_of(path, folder)
+    if path.suffix == ".json":
+        return _json_intrinsics(read_json(path, name), name, size, scale)
+    return _scaled_to_fit(matrix_intrinsics(read_text(path, name), name), stated, size), scale
 
 
 def _depth_intrinsics(
@@ -212,7 +239,7 @@ def matrix_intrinsics(text: str, name: str) -> Intrinsics:
     return focal_and_center(floats(text, name, "intrinsics", side * side).reshape(side, side), name, "intrinsics")
 
 
-def _json_intrinsics(document: dict[str, object], name: str, size: tuple[int, int]) -> tuple[Intrinsics, float]:
+def _json_intrinsics(document: dict[str, object], name: str, size: tuple[int, int], usual: float) -> tuple[Intrinsics, float]:
     """Intrinsics as fx, fy, cx, cy, or as Open3D's column-wise `intrinsic_matrix`; and `depth_scale`."""
     listed = document.get("intrinsic_matrix")
     if isinstance(listed, list) and len(listed) == 9 and all(isinstance(v, int | float) for v in listed):
@@ -221,7 +248,7 @@ def _json_intrinsics(document: dict[str, object], name: str, size: tuple[int, in
         fx, fy, cx, cy = (_number(document.get(key), name, key) for key in ("fx", "fy", "cx", "cy"))
         matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     values = focal_and_center(matrix, name, "intrinsics")
-    scale = _number(document.get("depth_scale", DEPTH_SCALE), name, "depth_scale")
+    scale = _number(document.get("depth_scale", usual), name, "depth_scale")
     if not 1 <= scale <= 1e6:
         raise InputError(name, "depth_scale", f"is {scale:g}, must be 1 to 1,000,000 units per metre", "1000 for millimetres")
     if "width" in document and "height" in document:

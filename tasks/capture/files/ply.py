@@ -27,11 +27,11 @@ _TYPES = {
 
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 
-_AGAIN = "copy or export the mesh again"
+AGAIN = "copy or export the mesh again"
 
 
 @dataclasses.dataclass(frozen=True)
-class _Element:
+class PlyElement:
     """An element of the header: its fields as (name, dtype), a list field as (name, count dtype, item dtype)."""
 
     name: str
@@ -47,11 +47,11 @@ def read_ply(path: Path, name: str) -> Surface:
             a face that names a missing vertex.
     """
     data = read_bytes(path, name, BUDGET.scene_bytes, b"ply")
-    order, elements, start = _header(data, name)
+    order, elements, start = header(data, name)
     check_counts(data, name)
     counts = {element.name: element.count for element in elements}
     if counts.get("vertex", 0) < 3:
-        raise InputError(name, "element vertex", f"has {counts.get('vertex', 0)} vertices, a mesh needs 3", _AGAIN)
+        raise InputError(name, "element vertex", f"has {counts.get('vertex', 0)} vertices, a mesh needs 3", AGAIN)
     if counts.get("face", 0) < 1:
         raise InputError(name, "element face", "the mesh has no faces", "export the scan as a triangle mesh")
     columns = _binary(data, start, order, elements, name)
@@ -62,13 +62,13 @@ def read_ply(path: Path, name: str) -> Surface:
     bad = (faces < 0) | (faces >= len(vertices))
     if bad.any():
         row = int(np.flatnonzero(bad.any(axis=1))[0])
-        raise InputError(name, f"face {row}", f"names a vertex that does not exist, of {len(vertices)}", _AGAIN)
+        raise InputError(name, f"face {row}", f"names a vertex that does not exist, of {len(vertices)}", AGAIN)
     return Surface(vertices, faces, colors)
 
 
 def check_counts(data: bytes, name: str) -> None:
     """Raise InputError when a PLY declares more of anything than the budget has, or its header cannot be read."""
-    for element in _header(data, name)[1]:
+    for element in header(data, name)[1]:
         most = BUDGET.faces if element.name == "face" else BUDGET.vertices
         if element.count > most:
             raise InputError(name, f"element {element.name}", f"declares {element.count}, more than {most}", "decimate the mesh")
@@ -80,7 +80,7 @@ def check_vertices(vertices: NDArray[np.float64], name: str) -> None:
     if not finite.all():
         row, axis = (int(v) for v in np.argwhere(~finite)[0])
         count = int((~finite).any(axis=1).sum())
-        raise InputError(name, f"vertex {row}", f"{'xyz'[axis]} is {vertices[row, axis]} ({count} such vertices)", _AGAIN)
+        raise InputError(name, f"vertex {row}", f"{'xyz'[axis]} is {vertices[row, axis]} ({count} such vertices)", AGAIN)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent = float((high - low).max())
     if extent > MAX_EXTENT_M or max(-low.min(), high.max()) > MAX_OFFSET_M:
@@ -90,14 +90,14 @@ def check_vertices(vertices: NDArray[np.float64], name: str) -> None:
         raise InputError(name, "vertex", f"spans {extent:.4g} m, less than any room", "scale the mesh to metres")
 
 
-def _header(data: bytes, name: str) -> tuple[str, list[_Element], int]:
+def header(data: bytes, name: str) -> tuple[str, list[PlyElement], int]:
     """Byte order ('' for text), elements, and where the content begins."""
     end = data.find(b"end_header", 0, 65536)
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
-        raise InputError(name, "header", "is no PLY, or cut inside its header", _AGAIN)
+        raise InputError(name, "header", "is no PLY, or cut inside its header", AGAIN)
     order: str | None = None
-    elements: list[_Element] = []
+    elements: list[PlyElement] = []
     for line in data[:end].decode("latin-1").splitlines():
         words = line.split()
         if not words or words[0] in ("ply", "comment", "obj_info"):
@@ -105,13 +105,13 @@ def _header(data: bytes, name: str) -> tuple[str, list[_Element], int]:
         if words[0] == "format" and len(words) >= 2 and words[1] in _ORDERS:
             order = _ORDERS[words[1]]
         elif words[0] == "element" and len(words) == 3 and words[2].isascii() and words[2].isdigit() and len(words[2]) < 19:
-            elements.append(_Element(words[1], int(words[2]), ()))
+            elements.append(PlyElement(words[1], int(words[2]), ()))
         elif words[0] == "property" and elements and (field := _property(words)) is not None:
             elements[-1] = dataclasses.replace(elements[-1], fields=(*elements[-1].fields, field))
         else:
-            raise InputError(name, "header", f"line {line.strip()[:60]!r} is not understood", _AGAIN)
+            raise InputError(name, "header", f"line {line.strip()[:60]!r} is not understood", AGAIN)
     if order is None:
-        raise InputError(name, "header", "states no known format", _AGAIN)
+        raise InputError(name, "header", "states no known format", AGAIN)
     return order, elements, newline + 1
 
 
@@ -124,7 +124,7 @@ def _property(words: list[str]) -> tuple[str, ...] | None:
 
 
 def _binary(
-    data: bytes, start: int, order: str, elements: list[_Element], name: str
+    data: bytes, start: int, order: str, elements: list[PlyElement], name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]] | None:
     """Vertices, triangles and colors of a binary PLY whose faces are all triangles; None for any other kind."""
     if not order:
@@ -148,12 +148,12 @@ def _binary(
         lists = [index for index, field in enumerate(element.fields) if len(field) == 3]
         shortest = dtype.itemsize - sum(np.dtype(element.fields[i][2]).itemsize * 3 for i in lists)
         if element.count * shortest > available:
-            raise InputError(name, f"element {element.name}", f"declares {element.count}, but the file ends before", _AGAIN)
+            raise InputError(name, f"element {element.name}", f"declares {element.count}, but the file ends before", AGAIN)
         if size > available:
             if lists and not _all_triangles(data[start : start + available // max(dtype.itemsize, 1) * dtype.itemsize], dtype, lists):
                 return None
             held = available // dtype.itemsize
-            raise InputError(name, f"element {element.name}", f"declares {element.count}, but the file ends after {held}", _AGAIN)
+            raise InputError(name, f"element {element.name}", f"declares {element.count}, but the file ends after {held}", AGAIN)
         rows = np.frombuffer(data, dtype=dtype, count=element.count, offset=start)
         if is_face:
             wanted = [i for i in lists if element.fields[i][0] in ("vertex_indices", "vertex_index")]
@@ -178,8 +178,9 @@ def _all_triangles(data: bytes, dtype: np.dtype[np.void], lists: list[int]) -> b
 def _coordinates(rows: NDArray[np.void], places: dict[str, str], name: str) -> NDArray[np.float64]:
     missing = [axis for axis in "xyz" if axis not in places]
     if missing:
-        raise InputError(name, "element vertex", f"has no property {missing[0]}", _AGAIN)
-    return np.stack([rows[places[axis]] for axis in "xyz"], axis=1).astype(np.float64)
+        raise InputError(name, "element vertex", f"has no property {missing[0]}", AGAIN)
+    with np.errstate(invalid="ignore"):  # a signaling NaN is no number, and is told as one
+        return np.stack([rows[places[axis]] for axis in "xyz"], axis=1).astype(np.float64)
 
 
 def _colors(rows: NDArray[np.void], places: dict[str, str]) -> NDArray[np.uint8]:
@@ -207,7 +208,7 @@ def _by_library(data: bytes, name: str) -> tuple[NDArray[np.float64], NDArray[np
     except InputError:
         raise
     except Exception as error:  # the loader raises whatever the bytes lead it to
-        raise InputError(name, "content", f"is cut or broken ({type(error).__name__}: {str(error)[:120]})", _AGAIN) from error
+        raise InputError(name, "content", f"is cut or broken ({type(error).__name__}: {str(error)[:120]})", AGAIN) from error
     if len(colors) != len(vertices):
         colors = np.full((len(vertices), 3), 180, dtype=np.uint8)
     return vertices, faces, colors

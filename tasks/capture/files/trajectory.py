@@ -22,7 +22,7 @@ from schemas.errors import InputError
 from tasks.capture.files.documents import read_text
 from tasks.geometry.transforms import OPENGL_TO_OPENCV, inverse, is_rigid, pose_from_quaternion_wxyz
 
-_STAMP_SECONDS = 0.02
+STAMP_SECONDS = 0.02
 """Color, depth and tracker of a 30 Hz camera are told to belong together within this, as TUM's own tools do."""
 
 _SHAPE = "write one pose a line: tx ty tz qx qy qz qw, or the 12 or 16 numbers of its matrix"
@@ -40,12 +40,37 @@ def read_trajectory(path: Path, name: str, keys: Sequence[str], described: str =
         InputError: the file is no trajectory.
     """
     rows = [line.replace(",", " ").split() for line in read_text(path, name).splitlines()]
-    numbers = _numbers([row for row in rows if row and not row[0].startswith(("#", "%"))], name)
-    stamps, poses, kind = _poses(numbers, name, "qwqxqyqz" in re.sub(r"[\s,_]", "", described.lower()))
+    plain = numbers([row for row in rows if row and not row[0].startswith(("#", "%"))], name)
+    stamps, poses, kind = _poses(plain, name, "qwqxqyqz" in re.sub(r"[\s,_]", "", described.lower()))
     poses = [as_described(pose, described) if pose is not None else None for pose in poses]
     rows_of = _matched(stamps, len(poses), keys, kind)
     frame_poses: list[Pose | None] = [poses[row] if row is not None else None for row in rows_of]
     return frame_poses, {i: "none in the trajectory" for i, row in enumerate(rows_of) if row is None}
+
+
+def stamped_poses(
+    path: Path, name: str, times: Sequence[float], seconds: float = STAMP_SECONDS
+) -> tuple[list[Pose | None], dict[int, str]]:
+    """The pose of each time [s] in a file of stamped quaternions, as `read_trajectory` gives them: the nearest one in time.
+
+    Raises:
+        InputError: the file is no trajectory, or its poses have no time stamps.
+    """
+    rows = [line.replace(",", " ").split() for line in read_text(path, name).splitlines()]
+    stamps, poses, _ = _poses(numbers([row for row in rows if row and not row[0].startswith(("#", "%"))], name), name, real_first=False)
+    if not stamps:
+        raise InputError(name, "row 0", "has no time stamp", "write one pose a line: timestamp tx ty tz qx qy qz qw")
+    return nearest_in_time(stamps, poses, times, seconds)
+
+
+def nearest_in_time(
+    stamps: Sequence[float], poses: Sequence[Pose | None], times: Sequence[float], seconds: float
+) -> tuple[list[Pose | None], dict[int, str]]:
+    """The pose of each time [s]: that of the nearest stamp, None where none is as near as `seconds`; and why, by place."""
+    rows_of = [_nearest(np.array(stamps), time, seconds) for time in times]
+    return [poses[row] if row is not None else None for row in rows_of], {
+        i: "none in the trajectory" for i, row in enumerate(rows_of) if row is None
+    }
 
 
 def as_described(pose: Pose, described: str) -> Pose:
@@ -56,7 +81,8 @@ def as_described(pose: Pose, described: str) -> Pose:
     return pose @ OPENGL_TO_OPENCV if "opengl" in words and np.isfinite(pose).all() else pose
 
 
-def _numbers(rows: list[list[str]], name: str) -> list[list[float]]:
+def numbers(rows: list[list[str]], name: str) -> list[list[float]]:
+    """Rows of words as numbers; raises InputError."""
     try:
         return [[float(word) for word in row] for row in rows]
     except ValueError as error:
@@ -116,8 +142,8 @@ def _matched(stamps: list[float], count: int, keys: Sequence[str], kind: str) ->
     return [i if i is not None and i < count else None for i in indices]
 
 
-def _nearest(times: NDArray[np.float64], time: float) -> int | None:
+def _nearest(times: NDArray[np.float64], time: float, seconds: float = STAMP_SECONDS) -> int | None:
     """Index of the stamp that belongs to `time`, None when none is near enough."""
     gap = np.abs(np.where(np.isfinite(times), times, np.inf) - time)
     best = int(np.argmin(gap))
-    return best if gap[best] <= _STAMP_SECONDS else None
+    return best if gap[best] <= seconds else None

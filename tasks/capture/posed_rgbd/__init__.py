@@ -21,7 +21,7 @@ def read_posed_rgbd(scan: Scan) -> Reading:
     Raises:
         InputError: the folder has no frames or no intrinsics, or a file of it is broken.
     """
-    layout = frame_layout(scan.path, premises=scan.premises)
+    layout = frame_layout(scan.path, scan.premises, above=True)
     if layout is None or not layout.frames:
         raise InputError(scan.path.name, "folder", "holds no frames", "expected folders color and depth")
     frames, notes = _by_convention(layout, scan.path)
@@ -60,7 +60,7 @@ def _by_convention(layout: FrameLayout, folder: Path) -> tuple[tuple[FrameSource
 
 
 def _files(scan: Scan, premises: Premises) -> list[Path]:
-    layout = frame_layout(scan.folder, premises=premises)
+    layout = frame_layout(scan.folder, premises, above=True)
     return layout.files if layout is not None else []
 
 
@@ -72,4 +72,7 @@ POSED_RGBD = ScanFormat(
     is_recorded=lambda folder: is_framed(folder) or any(map(is_framed, folders_in(folder))),
     files=_files,
     read=read_posed_rgbd,
+    signs=("color/*", "depth/*", "pose*", "*intrinsic*"),
+    is_plain=True,
+    shared=True,
 )

@@ -11,7 +11,7 @@ from tasks.capture.wholeness import Gap, frame_gaps
 
 def gaps(scan: Scan) -> Iterator[Gap]:
     """What is missing of a scan, or cut."""
-    layout = frame_layout(scan.path, premises=scan.premises)
+    layout = frame_layout(scan.path, scan.premises, above=True)
     if layout is None or not layout.frames:
         yield Gap(f"{scan.path.name}: holds no frames any more")
         return

@@ -6,7 +6,6 @@ ids, frames in a `.sens` container, exported to folders, or absent.
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from tasks.capture.aggregation import vertex_groups
 from tasks.capture.files.documents import floats, integers, license_of, name_of, read_json, read_text, settings
 from tasks.capture.files.frames import exported_frames, sens_frames
 from tasks.capture.files.ply import read_ply
 from tasks.capture.premises import Premises
-from tasks.capture.reading import FrameSource, Group, Reading, groups_of
+from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.scan import Scan, ScanFormat, license_path
 from tasks.capture.scannet.layout import ScanNetLayout, scannet_layout
 from tasks.geometry.meshes import Surface
@@ -113,7 +113,7 @@ def _segmented(layout: ScanNetLayout, folder: Path, aggregation: Path) -> tuple[
     if len(of_vertex) != len(surface.vertices):
         problem = f"has {len(of_vertex)} values, the mesh {mesh.name} has {len(surface.vertices)} vertices"
         raise InputError(segmented, "segIndices", problem, "use segments and mesh of one and the same scan")
-    groups, notes = _groups(document, aggregated, of_vertex, segmented, surface)
+    groups, notes = vertex_groups(document, aggregated, of_vertex, segmented, surface)
     return surface, groups, notes
 
 
@@ -148,62 +148,6 @@ def _named_segments(stated: Any, by_name: dict[str, Path], name: str, field: str
     raise InputError(name, field, problem, "use aggregation and segments of one and the same scan")
 
 
-def _groups(
-    document: dict[str, Any], name: str, of_vertex: NDArray[np.int64], segmented: str, surface: Surface
-) -> tuple[tuple[Group, ...], list[str]]:
-    """Instances of the aggregation, in its order."""
-    listed = document.get("segGroups")
-    if not isinstance(listed, list):
-        raise InputError(name, "segGroups", "must be a list of instances", "is it the right file?")
-    segments, dense = np.unique(of_vertex, return_inverse=True)
-    order = np.argsort(dense, kind="stable")
-    starts = np.searchsorted(dense[order], np.arange(len(segments) + 1))
-    owner = np.full(len(of_vertex), -1, dtype=np.int64)
-    named_groups: list[tuple[str, str, NDArray[np.int64]]] = []
-    origins: list[str] = []
-    notes: list[str] = []
-    seen: set[int] = set()
-    shared = 0
-    for index, entry in enumerate(listed):
-        object_id, label, ids = _group(entry, name, f"segGroups[{index}]")
-        if object_id in seen:
-            raise InputError(name, f"segGroups[{index}].objectId", f"{object_id} names two instances", "give every instance its own number")
-        seen.add(object_id)
-        places = np.minimum(np.searchsorted(segments, ids), len(segments) - 1)
-        missing = ids[segments[places] != ids]
-        if len(missing):
-            problem = f"names segment {missing[0]}, which {Path(segmented).name} does not have"
-            raise InputError(name, f"segGroups[{index}].segments", problem, "use aggregation and segments of one and the same scan")
-        vertices = np.sort(np.concatenate([order[starts[p] : starts[p + 1]] for p in np.unique(places)])) if len(ids) else ids
-        # A segment that an earlier instance has stays with it: a vertex belongs to one instance.
-        free = vertices[owner[vertices] < 0]
-        shared += len(vertices) - len(free)
-        owner[free] = len(named_groups)
-        if len(free):
-            named_groups.append((str(object_id), label, free))
-            origins.append(f"{Path(name).name}: segGroups[{index}].label")
-        else:
-            notes.append(f"instance {object_id} ({label}): has no vertices of its own, left out")
-    if shared:
-        notes.append(f"{shared} vertices are claimed by two instances: they stay with the first")
-    groups = groups_of(named_groups, owner, surface)
-    return tuple(dataclasses.replace(group, origin=origin) for group, origin in zip(groups, origins, strict=True)), notes
-
-
-def _group(entry: Any, name: str, field: str) -> tuple[int, str, NDArray[np.int64]]:
-    if not isinstance(entry, dict):
-        raise InputError(name, field, "must be an object", "is it the right file?")
-    object_id = entry.get("objectId", entry.get("id"))
-    if not isinstance(object_id, int) or isinstance(object_id, bool) or not 0 <= object_id < 2**62:
-        raise InputError(name, f"{field}.objectId", "must be a number from 0", "is it the right file?")
-    label = entry.get("label", "")
-    if not isinstance(label, str):
-        raise InputError(name, f"{field}.label", "must be a text", "is it the right file?")
-    ids = integers(entry.get("segments"), name, f"{field}.segments", minimum=-(2**62))
-    # A byte that is no UTF-8 cannot come from JSON, a lone surrogate can.
-    return object_id, " ".join(label.encode("utf-8", "replace").decode().split())[:200], ids
-
-
 def _recognize(folder: Path) -> str | None:
     layout = scannet_layout(folder)
     return layout.scan if layout is not None else None
@@ -222,5 +166,6 @@ SCANNET = ScanFormat(
     is_recorded=lambda folder: _recognize(folder) is not None,
     files=_files,
     read=read_scannet,
+    signs=("*_vh_clean_2.ply", "*.segs.json", "*.aggregation.json"),
     room=r"(.*/scene\d{4})_\d{2}",  # rescans are scene0001_00, scene0001_01
 )

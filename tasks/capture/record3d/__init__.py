@@ -1,0 +1,171 @@
+"""Record3D: an unpacked `.r3d` recording: metadata with intrinsics and poses, color images, and depth maps of 32-bit floats.
+
+Written from the public description of the format. Depth maps are packed with LZFSE, for which there is no decoder here: they are read
+once they are unpacked.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import InputError
+from tasks.capture.files.documents import json_floats, license_of, name_of, read_bytes, read_json
+from tasks.capture.files.frames import Intrinsics, frame_sources, one_size, scaled_intrinsics
+from tasks.capture.files.images import MAX_IMAGE_BYTES, MAX_PIXELS
+from tasks.capture.files.sens import focal_and_center
+from tasks.capture.files.trajectory import Pose
+from tasks.capture.layout import FrameFiles
+from tasks.capture.premises import Premises
+from tasks.capture.reading import Reading
+from tasks.capture.scan import Scan, ScanFormat, leaving, license_path
+from tasks.geometry.transforms import OPENGL_TO_OPENCV, Y_UP_TO_Z_UP, pose_from_quaternion_wxyz
+
+METADATA = ("metadata", "metadata.json")
+PLACE = "rgbd"
+
+PACKED = b"bvx"
+"""How whatever LZFSE has packed begins."""
+
+UNPACK = "in its folder: for f in rgbd/*.depth rgbd/*.conf; do lzfse -decode -i $f -o $f.raw && mv $f.raw $f; done"
+
+LEAST_CONFIDENCE = 1
+"""Of 0, 1 and 2: what the sensor has no confidence in is no reading."""
+
+
+def read_record3d(scan: Scan) -> Reading:
+    """Frames of color and depth by their numbers, with the poses of the metadata.
+
+    Raises:
+        InputError: a file is missing or broken, or depth maps are packed.
+    """
+    folder = scan.path
+    files = {path.relative_to(folder).as_posix(): path for path in _files(scan, scan.premises)}
+    stated = next((files[name] for name in METADATA if name in files), None)
+    if stated is None:
+        linked = next((folder / name for name in METADATA if (folder / name).is_symlink()), None)
+        raise leaving(linked) if linked is not None else InputError(folder.name, METADATA[0], "is missing", "copy it")
+    name = name_of(stated, folder)
+    document = read_json(stated, name)
+    by_number = {ending: _numbered(files, ending) for ending in (".jpg", ".depth", ".conf")}
+    numbers = sorted(by_number[".jpg"].keys() & by_number[".depth"].keys())
+    if not numbers:
+        raise InputError(f"{folder.name}/{PLACE}", "frames", "no image N.jpg has a depth map N.depth", "unzip the .r3d file again")
+    frames = [FrameFiles(str(n), by_number[".jpg"][n], by_number[".depth"][n], None) for n in numbers]
+    size = one_size([(frame.color, name_of(frame.color, folder)) for frame in frames], "color")
+    depth_size = (_count(document, "dw", name), _count(document, "dh", name))
+    if depth_size[0] * depth_size[1] > MAX_PIXELS:
+        raise InputError(name, "dw", f"is {depth_size[0]} x {depth_size[1]} pixels", "is it the right file?")
+    lenses = _lenses(document, name, numbers, size)
+    both = [(lens, scaled_intrinsics(lens, size, depth_size)) for lens in lenses]
+    _check_unpacked(frames[0].depth, folder)
+
+    def reader(path: Path) -> Callable[[], NDArray[np.float32]]:
+        return partial(_depth, path, by_number[".conf"].get(int(path.stem)), folder, depth_size)
+
+    poses = _poses(document.get("poses"), name)
+    known = [poses[number] if number < len(poses) else None for number in numbers]
+    sources, notes = frame_sources(frames, folder, size, depth_size, both, 1.0, known, {}, reader)
+    license = license_of(license_path(folder, scan.premises))
+    return Reading(surface=None, frames=sources, license=license, degradations=tuple(notes))
+
+
+def _check_unpacked(path: Path | None, folder: Path) -> None:
+    if path is not None and read_bytes(path, name_of(path, folder), MAX_IMAGE_BYTES)[:3] == PACKED:
+        raise InputError(name_of(path, folder), "content", "is packed with LZFSE, for which there is no decoder here", UNPACK)
+
+
+def _depth(path: Path, confidence: Path | None, folder: Path, size: tuple[int, int]) -> NDArray[np.float32]:
+    """Depth [m] that the sensor has confidence in, shape (height, width), 0 elsewhere."""
+    depth = _map(path, folder, size, np.dtype("<f4")).astype(np.float32)
+    depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+    if confidence is None:
+        return depth
+    return np.where(_map(confidence, folder, size, np.dtype("u1")) >= LEAST_CONFIDENCE, depth, np.float32(0))
+
+
+def _map(path: Path, folder: Path, size: tuple[int, int], kind: np.dtype[Any]) -> NDArray[Any]:
+    name = name_of(path, folder)
+    _check_unpacked(path, folder)
+    data = read_bytes(path, name, MAX_IMAGE_BYTES)
+    if len(data) != size[0] * size[1] * kind.itemsize:
+        raise InputError(name, "content", f"has {len(data)} bytes, {size[0]} x {size[1]} values expected", "unzip the .r3d file again")
+    return np.frombuffer(data, dtype=kind).reshape(size[1], size[0])
+
+
+def _lenses(document: dict[str, Any], name: str, numbers: Sequence[int], size: tuple[int, int]) -> list[Intrinsics]:
+    """Intrinsics of each frame at the images' size [px]: its own where it has some, else those of the recording."""
+    usual = focal_and_center(json_floats(document.get("K"), name, "K", 9).reshape(3, 3).T, name, "K")  # column by column
+    own = document.get("perFrameIntrinsicCoeffs")
+    stated = (_count(document, "w", name), _count(document, "h", name)) if "w" in document and "h" in document else size
+    lenses = []
+    for number in numbers:
+        lens = usual
+        if isinstance(own, list) and number < len(own):
+            fx, fy, cx, cy = json_floats(own[number], name, f"perFrameIntrinsicCoeffs[{number}]", 4)
+            lens = focal_and_center(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), name, f"perFrameIntrinsicCoeffs[{number}]")
+        lenses.append(scaled_intrinsics(lens, stated, size) if stated != size else lens)
+    return lenses
+
+
+def _poses(value: Any, name: str) -> list[Pose | None]:
+    """Poses, OpenCV camera to the +Z-up frame, 4x4 [m]; of none, none. The file has qx qy qz qw tx ty tz of an OpenGL camera, +Y up."""
+    if value is None:
+        return []
+    if not isinstance(value, list):
+        raise InputError(name, "poses", "must be a list", "is it the right file?")
+    poses: list[Pose | None] = []
+    for index, entry in enumerate(value):
+        values = json_floats(entry, name, f"poses[{index}]", 7)
+        quaternion = values[:4]
+        norm = float(np.linalg.norm(quaternion))
+        if not 0.9 < norm < 1.1:
+            poses.append(None)
+            continue
+        qx, qy, qz, qw = (float(v) / norm for v in quaternion)
+        poses.append(Y_UP_TO_Z_UP @ pose_from_quaternion_wxyz((qw, qx, qy, qz), values[4:]) @ OPENGL_TO_OPENCV)
+    return poses
+
+
+def _count(document: dict[str, Any], key: str, name: str) -> int:
+    value = document.get(key)
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 < value < 100_000:
+        raise InputError(name, key, "must be a number of pixels", "is it the right file?")
+    return value
+
+
+def _numbered(files: dict[str, Path], ending: str) -> dict[int, Path]:
+    """Files of the recording that end so, by their numbers."""
+    own = (path for key, path in files.items() if key.startswith(f"{PLACE}/") and path.suffix.lower() == ending)
+    return {int(path.stem): path for path in own if re.fullmatch(r"\d{1,9}", path.stem, re.ASCII)}
+
+
+def _recognize(folder: Path) -> str | None:
+    has_metadata = any((folder / name).is_file() or (folder / name).is_symlink() for name in METADATA)
+    return folder.name if has_metadata and (folder / PLACE).is_dir() else None
+
+
+def _files(scan: Scan, premises: Premises) -> list[Path]:
+    folder = scan.folder
+    files = [folder / name for name in METADATA]
+    if (folder / PLACE).is_dir() and premises.admits(folder / PLACE):
+        files += [path for path in sorted((folder / PLACE).iterdir()) if path.suffix.lower() in (".jpg", ".depth", ".conf")]
+    return [path for path in files if path.is_file() and premises.admits(path)]
+
+
+RECORD3D = ScanFormat(
+    name="record3d",
+    dataset="record3d",
+    expected=f"an unzipped .r3d: {METADATA[0]} and {PLACE}/ with N.jpg and N.depth",
+    recognize=_recognize,
+    is_recorded=lambda folder: _recognize(folder) is not None,
+    files=_files,
+    read=read_record3d,
+    signs=(METADATA[0], f"{PLACE}/*.jpg", f"{PLACE}/*.depth"),
+)

@@ -1,0 +1,124 @@
+"""Apple RoomPlan: the JSON of a captured room or structure, with walls, doors, windows, openings and boxes of furniture.
+
+Written from the public description of `CapturedRoom`. There is no mesh and there are no frames: surfaces are the stated rectangles and
+boxes. The USDZ that lies beside it shows the same boxes and is not read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from schemas.budget import BUDGET
+from schemas.errors import InputError
+from tasks.capture.files.documents import license_of, name_of, read_json
+from tasks.capture.files.ply import check_vertices
+from tasks.capture.premises import Premises
+from tasks.capture.reading import Group, Reading
+from tasks.capture.roomplan.elements import elements_of
+from tasks.capture.roomplan.surfaces import box_part, floor_part, floor_within, panel_part, wall_part
+from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, own_file
+from tasks.geometry.meshes import surface_of
+
+_NAMED = re.compile(r"(captured|roomplan).*\.json", re.IGNORECASE)
+
+NO_SURFACE = "no mesh and no frames in the scan: objects are boxes, walls rectangles; no views, no masks"
+
+
+def read_roomplan(scan: Scan) -> Reading:
+    """Walls without their openings, floor, doors, windows, and the box of each object, turned to +Z up.
+
+    Raises:
+        InputError: the file is no captured room, or has no wall.
+    """
+    import numpy as np
+
+    folder = scan.path
+    path = own_file(scan, _document(folder).name)
+    name = name_of(path, folder)
+    document = read_json(path, name)
+    listed = {kind: elements_of(document.get(kind), name, kind) for kind in ("walls", "doors", "windows", "openings", "floors", "objects")}
+    if sum(map(len, listed.values())) > BUDGET.nodes:
+        raise InputError(name, "content", f"lists more than {BUDGET.nodes} elements", "is it the right file?")
+    if not listed["walls"]:
+        raise InputError(name, "walls", "there are none", "is it the JSON of a CapturedRoom? Scan the room's walls, too")
+    notes = [NO_SURFACE]
+    holes = [*listed["doors"], *listed["windows"], *listed["openings"]]
+    parts = [wall_part(wall, holes) for wall in listed["walls"]]
+    labels = ["wall"] * len(parts)
+    origins = [wall.field for wall in listed["walls"]]
+    floors = [floor_part(floor) for floor in listed["floors"]]
+    if not floors:
+        floors = [floor_within(listed["walls"])]
+        notes.append("no floor in the scan: taken to lie within the walls")
+    for kind, made in (("floor", floors), ("door", [*map(panel_part, listed["doors"])]), ("window", [*map(panel_part, listed["windows"])])):
+        parts += made
+        labels += [kind] * len(made)
+        origins += [element.field for element in listed[f"{kind}s"]] or ["walls"] * len(made)
+    parts += [box_part(element) for element in listed["objects"]]
+    labels += [element.category for element in listed["objects"]]
+    origins += [element.field for element in listed["objects"]]
+    groups, vertices, faces = [], 0, 0
+    for number, (part, label, origin) in enumerate(zip(parts, labels, origins, strict=True)):
+        if not len(part.faces):
+            notes.append(f"{origin}: has no area, left out")
+            continue
+        own = (np.arange(vertices, vertices + len(part.vertices)), np.arange(faces, faces + len(part.faces)))
+        vertices, faces = vertices + len(part.vertices), faces + len(part.faces)
+        part.metadata["name"] = f"{label} {number}"
+        groups.append(Group(f"{label} {number}", label, *own, origin=f"{path.name}: {origin}.category"))
+    parts = [part for part in parts if len(part.faces)]
+    if not parts:
+        raise InputError(name, "walls", "no element has an area", "scan the room again")
+    surface = surface_of(parts)
+    check_vertices(surface.vertices, name)
+    return Reading(
+        surface=surface,
+        parts=tuple(parts),
+        groups=tuple(groups),
+        room_type=_room_type(document.get("sections")),
+        license=license_of(license_path(folder, scan.premises)),
+        is_dense=False,
+        degradations=tuple(notes),
+    )
+
+
+def _room_type(sections: Any) -> str:
+    """`livingRoom` is a living room; of several sections none is the room's."""
+    labels = {str(entry.get("label")) for entry in sections if isinstance(entry, dict)} if isinstance(sections, list) else set()
+    label = labels.pop() if len(labels) == 1 else ""
+    if not re.fullmatch(r"[A-Za-z]{1,40}", label) or label == "unidentified":
+        return ""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label).lower()
+
+
+def _documents(folder: Path) -> Sequence[Path]:
+    """JSON files that are those of a captured room by their names, or by a USDZ of the same name beside them."""
+    models = {path.stem for path in files_named(folder, ".usdz")}
+    return [path for path in files_named(folder, ".json") if _NAMED.fullmatch(path.name) or path.stem in models]
+
+
+def _document(folder: Path) -> Path:
+    documents = _documents(folder)
+    if len(documents) != 1:
+        raise InputError(folder.name, "folder", f"holds {len(documents)} captured rooms, one is expected", "give every room its own folder")
+    return documents[0]
+
+
+def _files(scan: Scan, premises: Premises) -> list[Path]:
+    return [path for path in _documents(scan.folder) if path.is_file() and premises.admits(path)]
+
+
+ROOMPLAN = ScanFormat(
+    name="roomplan",
+    dataset="roomplan",
+    expected="CapturedRoom.json, or a .json beside a .usdz of the same name",
+    recognize=lambda folder: folder.name if len(_documents(folder)) == 1 else None,
+    is_recorded=lambda folder: bool(_documents(folder)),
+    files=_files,
+    read=read_roomplan,
+    signs=("*.usdz", "*.json"),
+    is_modelled=True,
+)

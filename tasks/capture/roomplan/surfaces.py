@@ -1,0 +1,126 @@
+"""Surfaces of the elements of a captured room: rectangles with holes, outlines, panels and boxes, in the +Z-up frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.capture.roomplan.elements import RoomElement
+from tasks.geometry.transforms import inverse, transform_points
+
+if TYPE_CHECKING:
+    import shapely
+    import trimesh
+
+Array = NDArray[np.float64]
+
+PANEL_M = 0.04
+"""Thickness of doors and windows, which the file does not state: that of a leaf."""
+
+LEAST_M = 0.01
+"""Boxes are no thinner: an object without depth is a picture or a screen."""
+
+BESIDE_M = 0.3
+"""What does not say which wall it is in is in the one that it is nearer to than this."""
+
+GRAY, FLOOR_GRAY, OBJECT_GRAY = (225, 222, 215), (170, 150, 130), (190, 190, 190)
+"""The file states no colors: those of plaster, wood and nothing in particular."""
+
+
+def wall_part(wall: RoomElement, holes: Sequence[RoomElement]) -> trimesh.Trimesh:
+    """A wall without the doors, windows and openings in it."""
+    shape = _outline(wall)
+    for hole in holes:
+        if hole.parent == wall.identifier if hole.parent and wall.identifier else _is_in(hole, wall):
+            shape = shape.difference(_rectangle(_in_frame(hole, wall)))
+    return _flat_part(shape, wall.pose, GRAY)
+
+
+def floor_part(floor: RoomElement) -> trimesh.Trimesh:
+    """A floor with its outline."""
+    return _flat_part(_outline(floor), floor.pose, FLOOR_GRAY)
+
+
+def floor_within(walls: Sequence[RoomElement]) -> trimesh.Trimesh:
+    """A floor within the lower edges of walls: their convex hull, at the height of the lowest."""
+    import shapely
+
+    corners = np.concatenate([transform_points(_corners(wall), wall.pose) for wall in walls])
+    pose = np.eye(4)
+    pose[2, 3] = corners[:, 2].min()
+    return _flat_part(shapely.MultiPoint(corners[:, :2]).convex_hull, pose, FLOOR_GRAY)
+
+
+def panel_part(element: RoomElement) -> trimesh.Trimesh:
+    """A door or window: a panel in the plane of its wall."""
+    return _box(element, np.array([*element.size[:2], max(float(element.size[2]), PANEL_M)]))
+
+
+def box_part(element: RoomElement) -> trimesh.Trimesh:
+    """An object: its box."""
+    return _box(element, np.maximum(element.size, LEAST_M))
+
+
+def _box(element: RoomElement, size: Array) -> trimesh.Trimesh:
+    import trimesh
+
+    part = trimesh.creation.box(size) if (size > 0.0).all() else trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    part.apply_transform(element.pose)
+    return _colored(part, OBJECT_GRAY)
+
+
+def _corners(element: RoomElement) -> Array:
+    """Corners in the element's own frame [m], shape (n, 3)."""
+    if len(element.corners) >= 3:
+        return element.corners
+    x, y = 0.5 * element.size[:2]
+    return np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
+
+
+def _outline(element: RoomElement) -> Any:
+    """An element's outline in the plane that it lies in; outlines that cross themselves are mended."""
+    import shapely
+
+    return shapely.make_valid(shapely.Polygon(_corners(element)[:, :2]))
+
+
+def _in_frame(hole: RoomElement, wall: RoomElement) -> Array:
+    """Corners of a hole in a wall's frame [m], shape (n, 3)."""
+    return transform_points(transform_points(_corners(hole), hole.pose), inverse(wall.pose))
+
+
+def _rectangle(corners: Array) -> Any:
+    import shapely
+
+    return shapely.box(*corners[:, :2].min(axis=0), *corners[:, :2].max(axis=0))
+
+
+def _is_in(hole: RoomElement, wall: RoomElement) -> bool:
+    center = _in_frame(hole, wall).mean(axis=0)
+    return bool(abs(center[2]) < BESIDE_M and (np.abs(center[:2]) <= 0.5 * wall.size[:2]).all())
+
+
+def _flat_part(shape: shapely.Geometry, pose: Array, color: tuple[int, int, int]) -> trimesh.Trimesh:
+    """A part of a plane, shape in its x and y [m], as triangles that `pose` puts in place."""
+    import shapely
+    import trimesh
+
+    pieces = [piece for piece in shapely.get_parts(shapely.get_parts(shape)) if piece.geom_type == "Polygon" and piece.area > 0.0]
+    try:
+        triangles = [triangle for piece in pieces for triangle in shapely.get_parts(shapely.constrained_delaunay_triangles(piece))]
+    except shapely.errors.GEOSException:  # an outline that cannot be mended has no surface
+        triangles = []
+    if not triangles:
+        return trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    rings = shapely.get_coordinates(shapely.orient_polygons(np.array(triangles))).reshape(-1, 4, 2)[:, :3].reshape(-1, 2)
+    vertices = transform_points(np.column_stack([rings, np.zeros(len(rings))]), pose)
+    return _colored(trimesh.Trimesh(vertices, np.arange(len(rings)).reshape(-1, 3), process=False), color)
+
+
+def _colored(part: trimesh.Trimesh, color: tuple[int, int, int]) -> trimesh.Trimesh:
+    visual: Any = part.visual
+    visual.vertex_colors = np.tile(np.array([*color, 255], dtype=np.uint8), (len(part.vertices), 1))
+    return part

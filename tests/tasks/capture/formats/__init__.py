@@ -1,0 +1,1 @@
+"""Scans as people have them: every format that is read against the native one."""

@@ -1,0 +1,59 @@
+"""Record3D: frames of an unzipped recording whose depth maps were unpacked."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.errors import InputError
+from tasks.capture.wholeness import find_gap
+from tests.tasks.capture.formats.written import assert_same_frames, only_scan, read, sample, write_record3d
+
+
+def write_sample(folder: Path) -> None:
+    """Three frames of a room with a chair."""
+    write_record3d(folder, sample().frames)
+
+
+def test_frames_are_those_of_the_native_format(tmp_path: Path) -> None:
+    write_sample(tmp_path / "2024-05-01")
+    assert_same_frames(read(tmp_path).frames, sample().frames, is_lossy=True)
+    assert find_gap(only_scan(tmp_path)) is None
+
+
+def test_what_the_sensor_has_no_confidence_in_is_no_reading(tmp_path: Path) -> None:
+    write_sample(tmp_path / "a")
+    path = tmp_path / "a" / "rgbd" / "0.conf"
+    path.write_bytes(bytes(len(path.read_bytes())))
+    frame = read(tmp_path).frames[0]
+    assert frame.depth is not None
+    assert not frame.depth().any()
+
+
+def test_packed_depth_is_told_how_to_be_unpacked(tmp_path: Path) -> None:
+    write_sample(tmp_path / "a")
+    (tmp_path / "a" / "rgbd" / "0.depth").write_bytes(b"bvx2" + bytes(40))
+    with pytest.raises(InputError, match=r"^a/rgbd/0.depth: content: is packed with LZFSE, .* lzfse -decode "):
+        read(tmp_path)
+
+
+def test_each_frame_may_have_a_lens_of_its_own(tmp_path: Path) -> None:
+    write_sample(tmp_path / "a")
+    path = tmp_path / "a" / "metadata"
+    document = json.loads(path.read_text())
+    path.write_text(json.dumps(document | {"perFrameIntrinsicCoeffs": [[50 + k, 51, 19, 15] for k in range(3)]}))
+    assert [frame.intrinsics for frame in read(tmp_path).frames] == [(50 + k, 51, 19, 15) for k in range(3)]
+    path.write_text(json.dumps(document | {"w": document["w"] * 2, "h": document["h"] * 2}))
+    np.testing.assert_allclose(read(tmp_path).frames[0].intrinsics[0], sample().frames[0].intrinsics[0] / 2)
+
+
+@pytest.mark.parametrize(("key", "value"), [("K", [1.0]), ("dw", 0), ("dh", "many"), ("poses", [[1, 2]]), ("poses", 7)])
+def test_metadata_that_is_none_is_refused(key: str, value: object, tmp_path: Path) -> None:
+    write_sample(tmp_path / "a")
+    path = tmp_path / "a" / "metadata"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
+    with pytest.raises(InputError, match=rf"^a/metadata: {key}"):
+        read(tmp_path)
