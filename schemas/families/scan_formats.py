@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-SCAN_FORMATS = ("scannet", "posed_rgbd", "glb")
+SCAN_FORMATS = ("scannet", "posed_rgbd", "glb", "mesh")
 """In the order in which they are looked for."""

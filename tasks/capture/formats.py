@@ -156,7 +156,7 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
     wanted = search.wanted
     if folder.is_file():
         for format in wanted:
-            if format.suffix and folder.suffix.lower() == format.suffix:
+            if folder.suffix.lower() in format.suffixes:
                 return [search.scan(format, folder, folder.stem)], []
         return [], [InputError(folder.name, "file", "is no scan", f"expected {_expected(wanted)}")]
     single = _single(folder, search)
@@ -164,7 +164,8 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
         return [single], []
     if depth and not search.admits(folder):
         return [], [leaving(folder)]
-    files = [(format, path) for format in wanted if format.suffix for path in files_named(folder, format.suffix)]
+    of_file = {path: format for format in reversed(wanted) for path in files_named(folder, format.suffixes)}  # the first that reads it
+    files = [(format, path) for path, format in sorted(of_file.items())]
     scans = [search.scan(format, path, path.stem) for format, path in files if search.admits(path)]
     errors = [leaving(path) for _, path in files if not search.admits(path)]
     for child in folders_in(folder) if depth < 2 else []:
@@ -185,7 +186,7 @@ def _single(folder: Path, search: _Search) -> Scan | None:
     """The scan that `folder` itself is, or None. Names decide, wherever links among them lead."""
     for format in search.wanted:
         name = format.recognize(folder)
-        if name is not None and not (format.suffix and any(map(_is_recorded, folders_in(folder)))):
+        if name is not None and not (format.suffixes and any(map(_is_recorded, folders_in(folder)))):
             return search.scan(format, folder, name)
     return None
 

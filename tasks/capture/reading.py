@@ -62,6 +62,7 @@ class Reading:
     groups: Instances; None when the scan names none, to be found in the geometry.
     alignment: Scan frame to an aligned frame, 4x4 [m], where the scan states one.
     glb: The scan's own file where it is a GLB, which can be kept as it is when nothing moves.
+    materials: Which of its textures each face of `surface` has, shape (m,) int64, where the scan names no instances and has several.
     is_dense: Vertices lie as densely as a depth sensor leaves them, so that they can stand for the surface.
     """
 
@@ -75,6 +76,7 @@ class Reading:
     is_dense: bool = True
     degradations: tuple[str, ...] = ()
     glb: bytes | None = None
+    materials: NDArray[np.int64] | None = None
 
 
 def groups_of(named: Sequence[tuple[str, str, NDArray[np.int64]]], owner: NDArray[np.int64], surface: Surface) -> tuple[Group, ...]:
