@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import click
 
@@ -13,13 +14,18 @@ from flows.commands.options import json_option
 @click.command("capture")
 @click.option("--frames", type=click.IntRange(1, 10_000), default=30, show_default=True, help="Generated frames of tables.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same frames.")
-@click.option("--parts", default="", help="Measure only these, with commas between: frames.")
+@click.option("--rooms", type=click.IntRange(1, 10_000), default=10, show_default=True, help="Generated rooms, scanned as bare meshes.")
+@click.option(
+    "--realdata", type=click.Path(path_type=Path, file_okay=False), envvar="METASCENES_REALDATA", help="Folder with scans by others."
+)
+@click.option("--parts", default="", help="Measure only these, with commas between: frames, meshes.")
 @json_option
-def capture(frames: int, seed: int, parts: str, as_json: bool) -> None:
+def capture(frames: int, seed: int, rooms: int, realdata: Path | None, parts: str, as_json: bool) -> None:
     """Measure what is found in scans that name no instances.
 
     `frames`: single depth frames of generated tables, seen at 20 to 70 degrees, with things that touch, are stacked and lie in one another.
-    Beside it what the code before made of the same frames, which is taken out of the checkout's history; without history it is left out.
+    `meshes`: hard rooms as bare meshes, their labels withheld, and a house that somebody drew, without its names (`--realdata`).
+    Beside it what the code before made of the same scans, which is taken out of the checkout's history; without history it is left out.
 
     The exit code is 1 when a goal is missed, and else 0.
 
@@ -28,5 +34,5 @@ def capture(frames: int, seed: int, parts: str, as_json: bool) -> None:
     from bench.capture.report import PARTS, CaptureBench, run_capture_bench
     from bench.capture.tables import print_capture
 
-    config = CaptureBench(frames, seed, chosen_words(parts, PARTS, "--parts"))
+    config = CaptureBench(frames, seed, chosen_words(parts, PARTS, "--parts"), rooms, realdata)
     run_measurement("measured", config.advances, partial(run_capture_bench, config), print_capture, as_json)

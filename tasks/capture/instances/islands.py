@@ -92,8 +92,7 @@ def _components(faces: Indices, texture: Indices) -> Indices:
 
 
 def _touching(points: NDArray[np.float64], island: Indices, textures: Indices) -> Indices:
-    """Islands by number as one where they share a texture and touch, shape (islands,): a number for each. textures: Of each island, -1 for
-    what joins none."""
+    """Islands by number as one where they share a texture and touch, shape (islands,). textures: Of each, -1 for what joins none."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
