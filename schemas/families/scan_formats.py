@@ -3,4 +3,4 @@
 from __future__ import annotations
 
 SCAN_FORMATS = ("scannet", "posed_rgbd", "glb", "mesh")
-"""In the order in which they are looked for."""
+"""In the order in which they are looked for: `mesh`, which takes any folder with one mesh in it, is the last."""

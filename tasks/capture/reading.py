@@ -58,7 +58,8 @@ class Reading:
     """A scan as read.
 
     surface: Scan mesh in the scan frame; None when there are only frames, to be fused.
-    parts: The same geometry with its textures, where the scan has any (GLB), in the order of `surface`.
+    parts: The same geometry with its textures, where the scan has any, with the faces of `surface` in their order; of vertices it may have
+        more, where textures split them.
     groups: Instances; None when the scan names none, to be found in the geometry.
     alignment: Scan frame to an aligned frame, 4x4 [m], where the scan states one.
     glb: The scan's own file where it is a GLB, which can be kept as it is when nothing moves.

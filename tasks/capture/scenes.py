@@ -125,7 +125,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     if not is_modelled:
         rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell, leaves)
     shell, rooms, rows = parted(shell, rows, reading.room_type, is_seen)
-    surfaces = _surfaces(shell, reading, world, groups, meanings, config, blobs)
+    surfaces = _surfaces(shell, reading, world, alignment.pose, groups, meanings, config, blobs)
     mesh, mesh_notes = scan_mesh(reading, world, alignment, config.max_faces)
     scene = Scene(
         scene_id=context.scene_id,
@@ -341,9 +341,11 @@ def _is_let_in(label: Label) -> bool:
 
 
 def _surfaces(
-    room: Shell, reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], config: CaptureConfig, blobs: Blobs
-) -> list[RoomSurface]:
-    """How floor, walls and ceiling look. Faces with a corner of an object may have its colors, whatever they are named."""
+    room: Shell, reading: Reading, world: Surface, pose: NDArray[np.float64], groups: Sequence[Group], meanings: Sequence[Label],
+    config: CaptureConfig, blobs: Blobs,
+) -> list[RoomSurface]:  # fmt: skip
+    """How floor, walls and ceiling look. Faces with a corner of an object may have its colors, whatever they are named. pose: Scan frame to
+    world frame, 4x4 [m]."""
     is_object, kinds = np.zeros(len(world.vertices), dtype=bool), np.full(len(world.faces), LOOSE, dtype=np.int8)
     for group, label in zip(groups, meanings, strict=True):
         if label.is_structure:
@@ -354,11 +356,10 @@ def _surfaces(
     if not reading.parts:
         return baked_surfaces(room, [world.to_trimesh()], [kinds], config.textures, blobs)
     faces = np.cumsum([0, *(len(part.faces) for part in reading.parts)])
-    corners = np.cumsum([0, *(len(part.vertices) for part in reading.parts)])
     parts = []
-    for part, (start, end) in zip(reading.parts, itertools.pairwise(corners), strict=True):
+    for part in reading.parts:
         moved = part.copy()
-        moved.vertices = world.vertices[start:end]
+        moved.vertices = np.asarray(part.vertices) @ pose[:3, :3].T + pose[:3, 3]
         parts.append(moved)
     own = [kinds[start:end] for start, end in itertools.pairwise(faces)]
     return baked_surfaces(room, parts, own, config.textures, blobs)

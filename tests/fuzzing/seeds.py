@@ -345,7 +345,19 @@ def capture(format_: str) -> list[Case]:
             return posed_rgbd()
         case "glb":
             return glb()
+        case "mesh":
+            return meshes()
     return [folder_of(import_module(f"tests.tasks.capture.test_{format_}").write_sample)]
+
+
+def meshes() -> list[Case]:
+    """A bare mesh in each kind of file."""
+    from tasks.geometry.meshes import Surface
+    from tests.tasks.capture.test_mesh import KINDS, written
+
+    box = trimesh.creation.box((0.8, 0.6, 0.7))
+    surface = Surface(np.asarray(box.vertices), np.asarray(box.faces), np.full((8, 3), 90, np.uint8))
+    return [folder_of(lambda root, kind=kind: written(root, surface, kind)) for kind in KINDS]
 
 
 def library() -> list[Case]:

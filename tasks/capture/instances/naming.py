@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -34,6 +35,9 @@ FEATURES = ("length", "width", "height", "bottom", "top", "level", "area")
 """Of a shape: logarithms of the box's sides in plan, the longer first, and of its height; heights of bottom and top [m]; share of the plan
 that level surface in the upper half fills; logarithm of the surface [m2]."""
 
+FARTHEST = 0.01
+"""Sum of kernels below which no shape lies near: three deviations off the nearest one."""
+
 _THIN_M = 0.02
 """Sides that are thinner are measured as thick as noise makes them [m]."""
 
@@ -42,7 +46,7 @@ _THIN_M = 0.02
 class NamingConfig(Config):
     """How shapes tell categories."""
 
-    width: Positive = 0.4  # of the kernel, in deviations of each feature: told probabilities are those that come true, held out by rooms
+    width: Positive = 0.45  # of the kernel, in deviations of each feature: told probabilities are those that come true, held out by rooms
     least: Share = 0.5  # a name that is more likely wrong than right is none
 
 
@@ -109,14 +113,21 @@ def shape_of(points: Array, normals: Array, areas: Array) -> Array:
 
 def name_by_shape(shape: Array, config: NamingConfig) -> ShapeName:
     """What an instance of a shape, from `shape_of`, most probably is: by the shapes that lie near it among those of generated rooms."""
-    names, whose, shapes = _shapes()
+    return named_among(shape, *_shapes(), config)
+
+
+def named_among(shape: Array, names: Sequence[str], whose: Indices, shapes: Array, config: NamingConfig) -> ShapeName:
+    """The same among any shapes. names: Categories, `unknown` among them. whose: Which of them each of `shapes` has, shape (n,)."""
     scale = np.maximum(shapes.std(axis=0), 1e-9) * config.width
     weights = np.exp(-0.5 * (((shapes - shape) / scale) ** 2).sum(axis=1))
-    by_name = np.bincount(whose, weights=weights, minlength=len(names)) / max(float(weights.sum()), 1e-300)
+    by_name = np.bincount(whose, weights=weights, minlength=len(names))
+    total = float(by_name.sum())
+    if total < FARTHEST:  # unlike anything that was seen
+        return ShapeName(UNKNOWN, 1.0)
     best = int(by_name.argmax())
-    if by_name[best] >= config.least:
-        return ShapeName(names[best], float(by_name[best]))
-    return ShapeName(UNKNOWN, float(by_name[names.index(UNKNOWN)]))
+    if by_name[best] >= config.least * total:
+        return ShapeName(names[best], float(by_name[best]) / total)
+    return ShapeName(UNKNOWN, float(by_name[list(names).index(UNKNOWN)]) / total)
 
 
 @cache

@@ -47,11 +47,48 @@ class GeometryInstances:
     notes: tuple[str, ...]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Segmented:
+    """A mesh with its room and its regions. normals: Outward, shape (n, 3). areas [m2], region: Of each vertex of `even`, shape (n,)."""
+
+    even: Evened
+    normals: Array
+    areas: Array
+    planes: list[Plane]
+    region: Indices
+
+    def shape(self, members: Indices) -> Array:
+        """What names a region: see `naming.shape_of`."""
+        return shape_of(self.even.surface.vertices[members], self.normals[members], self.areas[members])
+
+
 def geometry_instances(world: Surface, config: SegmentationConfig, materials: Indices | None = None) -> GeometryInstances:
     """Instances of an aligned scan (floor at z = 0): floor, walls, ceiling and objects.
 
     materials: Which of its textures each face has, shape (m,), where the scan has several: who draws furniture gives each its own.
     """
+    made = _segmented(world, config, materials)
+    named: list[tuple[str, Indices]] = [(plane.category, plane.members) for plane in made.planes]
+    probabilities: dict[str, float] = {}
+    for members in _members(made.region):
+        if len(members) >= _LEAST_VERTICES:
+            name = name_by_shape(made.shape(members), config.naming)
+            probabilities[str(len(named))] = name.probability
+            named.append((name.category, members))
+    groups = _groups(named, made.even, world)
+    unnamed = sum(category == UNKNOWN for category, _ in named)
+    found = f"instances found in the geometry: {len(probabilities)} objects, categories guessed from their sizes"
+    return GeometryInstances(groups, probabilities, (f"{found}, {unnamed} of them unknown" if unnamed else found,))
+
+
+def found_shapes(world: Surface, config: SegmentationConfig) -> list[tuple[Array, Array]]:
+    """Vertices [m], shape (n, 3), and shape, as `naming` has it, of each region in an aligned scan."""
+    made = _segmented(world, config, None)
+    points = made.even.surface.vertices
+    return [(points[members], made.shape(members)) for members in _members(made.region) if len(members) >= _LEAST_VERTICES]
+
+
+def _segmented(world: Surface, config: SegmentationConfig, materials: Indices | None) -> _Segmented:
     is_coarse = is_uneven(world)
     even = evened(world, is_coarse)
     surface = even.surface
@@ -60,26 +97,14 @@ def geometry_instances(world: Surface, config: SegmentationConfig, materials: In
     planes = structure_of(surface.vertices, normals, areas)
     islands = islands_of(even, world, planes, materials) if is_coarse else None
     if islands is not None:
-        planes, region = islands
-    else:
-        segments = region_segments(surface, normals, areas, config.regions)
-        for plane in planes:
-            segments[plane.members] = -1
-        if any(plane.category == "floor" for plane in planes):
-            segments[surface.vertices[:, 2] < -FLOOR_BAND_M] = -1  # what lies below the floor was seen in a mirror, or is noise
-        region = merged_regions(surface, normals, areas, segments, config.regions)
-        planes = _with_slivers(planes, surface.vertices[:, 2], region)
-    named: list[tuple[str, Indices]] = [(plane.category, plane.members) for plane in planes]
-    probabilities: dict[str, float] = {}
-    for members in _members(region):
-        if len(members) >= _LEAST_VERTICES:
-            name = name_by_shape(shape_of(surface.vertices[members], normals[members], areas[members]), config.naming)
-            probabilities[str(len(named))] = name.probability
-            named.append((name.category, members))
-    groups = _groups(named, even, world)
-    unnamed = sum(category == UNKNOWN for category, _ in named)
-    found = f"instances found in the geometry: {len(probabilities)} objects, categories guessed from their sizes"
-    return GeometryInstances(groups, probabilities, (f"{found}, {unnamed} of them unknown" if unnamed else found,))
+        return _Segmented(even, normals, areas, *islands)
+    segments = region_segments(surface, normals, areas, config.regions)
+    for plane in planes:
+        segments[plane.members] = -1
+    if any(plane.category == "floor" for plane in planes):
+        segments[surface.vertices[:, 2] < -FLOOR_BAND_M] = -1  # what lies below the floor was seen in a mirror, or is noise
+    region = merged_regions(surface, normals, areas, segments, config.regions)
+    return _Segmented(even, normals, areas, _with_slivers(planes, surface.vertices[:, 2], region), region)
 
 
 def _with_slivers(planes: list[Plane], z: Array, region: Indices) -> list[Plane]:

@@ -15,7 +15,7 @@ from tasks.capture.instances.resolution import is_uneven
 from tasks.capture.reading import Reading
 from tasks.geometry.meshes import Surface, surface_of
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
-from tasks.geometry.triangles import face_areas, face_normals
+from tasks.geometry.triangles import face_areas, face_normals, welded
 
 if TYPE_CHECKING:
     import trimesh
@@ -70,7 +70,8 @@ def bare_reading(parts: Sequence[trimesh.Trimesh], stated: Stated, notes: Sequen
     turn, up_note = _upright(surface, stated)
     unit, unit_note = _unit(surface, turn, stated.unit_m)
     change = np.diag([unit, unit, unit, 1.0]) @ turn
-    surface = dataclasses.replace(surface, vertices=surface.vertices @ change[:3, :3].T)
+    first, place = welded(surface.vertices @ change[:3, :3].T)  # seams of textures split vertices, and some formats every corner
+    surface = Surface((surface.vertices @ change[:3, :3].T)[first], place[surface.faces], surface.colors[first])
     check_vertices(surface.vertices, name)
     is_dense = not is_uneven(surface)
     moved: list[trimesh.Trimesh] = []
