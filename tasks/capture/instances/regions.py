@@ -42,7 +42,7 @@ class RegionConfig(Config):
     small_m2: NonNegative = 0.02  # a region so small joins whatever it touches; a third of it leaves half as many regions again
     limit: Positive = 0.4  # pairs that cost more stay apart
     most_share: Share = 0.1  # of all surface: more is no object of a room
-    most_m2: Positive = 4.0  # but an object may be as large as a sofa shows, in the scan of a corner or of one thing
+    most_m2: Positive = 4.0  # but an object may be as large as a sofa shows, in the scan of a corner
 
 
 def region_segments(surface: Surface, normals: Array, areas: Array, config: RegionConfig) -> Indices:
@@ -60,16 +60,19 @@ def region_segments(surface: Surface, normals: Array, areas: Array, config: Regi
     return graph_segments(edges, weights, len(areas), config.threshold * PATCH_M2 / patch, max(4, int(config.least_m2 / patch)))
 
 
-def merged_regions(surface: Surface, normals: Array, areas: Array, segments: Indices, config: RegionConfig) -> Indices:
+def merged_regions(
+    surface: Surface, normals: Array, areas: Array, segments: Indices, config: RegionConfig, is_room: bool = True
+) -> Indices:
     """Region of each vertex after merging, numbered from 0, shape (n,); -1 for what `segments` leaves out (-1), for what is too small to
-    be anything and touches nothing, and for a single region that is too large."""
+    be anything and touches nothing, and for a single region that is too large. is_room: There is a room around; a thing alone may be
+    all there is."""
     is_in = segments >= 0
     if not is_in.any():
         return np.full(len(segments), -1, dtype=np.int64)
     names, dense = np.unique(segments[is_in], return_inverse=True)
     region = np.full(len(segments), -1, dtype=np.int64)
     region[is_in] = dense
-    most = max(config.most_share * float(areas.sum()), config.most_m2)
+    most = max(config.most_share * float(areas.sum()), config.most_m2) if is_room else np.inf
     forest = _Merging.of(surface, normals, areas, region, len(names))
     forest.merge(config, most)
     root = np.array([forest.root(number) for number in range(len(names))], dtype=np.int64)

@@ -103,7 +103,7 @@ def _segmented(world: Surface, config: SegmentationConfig, materials: Indices | 
         segments[plane.members] = -1
     if any(plane.category == "floor" for plane in planes):
         segments[surface.vertices[:, 2] < -FLOOR_BAND_M] = -1  # what lies below the floor was seen in a mirror, or is noise
-    region = merged_regions(surface, normals, areas, segments, config.regions)
+    region = merged_regions(surface, normals, areas, segments, config.regions, is_room=bool(planes))
     return _Segmented(even, normals, areas, _with_slivers(planes, surface.vertices[:, 2], region), region)
 
 

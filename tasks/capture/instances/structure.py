@@ -58,6 +58,9 @@ MOST_DIRECTIONS = 12
 
 _ROUND = 2 * np.pi
 
+_AREA_DECIMALS = 9
+"""Of areas that are held against each other [m2]: bins next to each other hold the same surface, in whatever order it was added."""
+
 CELL_M = 0.12
 """Surface in one plane belongs together across gaps of this width [m]: a door frame's."""
 
@@ -198,7 +201,7 @@ def _directions(angle: Array, areas: Array) -> list[float]:
     histogram = np.bincount((angle / _ROUND * bins).astype(np.int64) % bins, weights=areas, minlength=bins)
     smooth = histogram + np.roll(histogram, 1) + np.roll(histogram, -1)
     chosen: list[float] = []
-    for peak in np.argsort(-smooth, kind="stable"):
+    for peak in np.argsort(-np.round(smooth, _AREA_DECIMALS), kind="stable"):
         yaw = (int(peak) + 0.5) / bins * _ROUND
         if smooth[peak] < WALL_M2 or len(chosen) == MOST_DIRECTIONS:
             break
@@ -217,7 +220,7 @@ def _offsets(offset: Array, areas: Array, least: float) -> list[float]:
     bins = np.floor((offset - start) / 0.02).astype(np.int64)
     smooth = np.convolve(np.bincount(bins, weights=areas, minlength=int(bins.max()) + 6), np.ones(5), mode="same")
     chosen: list[float] = []
-    for peak in np.argsort(-smooth, kind="stable"):
+    for peak in np.argsort(-np.round(smooth, _AREA_DECIMALS), kind="stable"):
         if smooth[peak] < least:
             break
         place = start + (int(peak) + 0.5) * 0.02
