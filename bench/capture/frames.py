@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import tempfile
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +18,9 @@ from bench.capture.former import FormerScan, former_scans, has_former
 from bench.capture.tabletops import SUPPORT, TabletopFrame, tabletop_frame
 from bench.capture.truth import NOTHING, FrameScore, FrameTruth, frame_score
 from bench.goals import goal
+from tasks.capture.rooms.alignment import rotation_to_z
+from tasks.capture.segmentation.frame import FrameConfig, segmented_frame
+from tasks.capture.segmentation.planes import Plane
 from tasks.capture.small_objects.lifting import DepthView
 
 Array = NDArray[np.float64]
@@ -60,9 +64,8 @@ class FrameFigures:
 def frames_report(count: int, seed: int) -> dict[str, Any]:
     """Rows and goals of `count` generated frames."""
     frames = [tabletop_frame(number, count, seed) for number in range(count)]
-    figures = []
-    if has_former():
-        figures.append(former_figures(frames))
+    figures = [former_figures(frames)] if has_former() else []
+    figures.append(own_figures(frames))
     return {"rows": [each.row() for each in figures], "goals": frame_goals(figures)}
 
 
@@ -70,6 +73,27 @@ def truth_of(frame: TabletopFrame) -> FrameTruth:
     """A generated frame's truth: objects, then the table's top."""
     count = len(frame.words)
     return FrameTruth(np.where(frame.owner == SUPPORT, count, np.maximum(frame.owner, NOTHING)), frozenset({count}))
+
+
+def own_figures(frames: Sequence[TabletopFrame]) -> FrameFigures:
+    """What this code finds in each frame by itself, its pose unknown."""
+    segmented_frame(frames[0].view, FrameConfig())  # compiles
+    scores, seconds, planes = [], [], []
+    for frame in frames:
+        clock = time.perf_counter()
+        found = segmented_frame(frame.view, FrameConfig())
+        seconds.append(time.perf_counter() - clock)
+        scores.append(frame_score(truth_of(frame), found.region, frame.view.depth > 0))
+        planes.append(plane_error(frame, np.eye(4) if found.support is None else pose_over(found.support)))
+    return figures_of("generated tabletops", "now", scores, seconds, planes)
+
+
+def pose_over(plane: Plane) -> Array:
+    """The pose in which a plane lies at z = 0, 4x4 [m]."""
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_to_z(plane.normal)
+    pose[2, 3] = plane.offset
+    return pose
 
 
 def former_figures(frames: Sequence[TabletopFrame]) -> FrameFigures:

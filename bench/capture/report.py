@@ -1,27 +1,27 @@
-"""The benchmark of scans without labels: single frames; held against goals."""
+"""The benchmark of scans without labels: single frames, bare meshes; held against goals."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from bench.capture.frames import frames_report
+from bench.capture.meshes import meshes_report
 from bench.capture.poses import poses_report
 from bench.machine import machine
 
-FRAMES = "frames"
+FRAMES, MESHES, POSES = "frames", "meshes", "poses"
 
-POSES = "poses"
-
-PARTS = (FRAMES, POSES)
-"""What can be measured: instances of single frames of tables; poses of walks that are withheld, or drift."""
+PARTS = (FRAMES, MESHES, POSES)
+"""What can be measured: instances of single frames of tables, and of meshes of rooms; poses of walks that are withheld, or drift."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CaptureBench:
-    """What is measured. frames: Generated ones of tables. walks: Through rooms, each of `walk_frames` frames. open3d: An interpreter that
-    has it, '' for this one. parts: Of `PARTS`."""
+    """What is measured. frames: Generated ones of tables. rooms: Generated ones, as meshes. realdata: Folder with scans by others, None for
+    none. walks: Through rooms, each of `walk_frames` frames. open3d: An interpreter that has it, '' for this one. parts: Of `PARTS`."""
 
     frames: int = 30
     walks: int = 3
@@ -29,6 +29,8 @@ class CaptureBench:
     open3d: str = ""
     seed: int = 0
     parts: tuple[str, ...] = PARTS
+    rooms: int = 10
+    realdata: Path | None = None
 
     @property
     def advances(self) -> int:
@@ -42,6 +44,9 @@ def run_capture_bench(config: CaptureBench, advance: Callable[[str], None]) -> d
     if FRAMES in config.parts:
         parts[FRAMES] = frames_report(config.frames, config.seed)
         advance(FRAMES)
+    if MESHES in config.parts:
+        parts[MESHES] = meshes_report(config.rooms, config.seed, config.realdata)
+        advance(MESHES)
     if POSES in config.parts:
         parts[POSES] = poses_report(config.walks, config.walk_frames, config.seed, config.open3d)
         advance(POSES)

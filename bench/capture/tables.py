@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bench.capture.report import FRAMES, POSES
+from bench.capture.report import FRAMES, MESHES, POSES
 from bench.tables import add_row, goals_table, headline, table_of
 
 if TYPE_CHECKING:
@@ -18,6 +18,8 @@ def print_capture(report: Mapping[str, Any], console: Console) -> None:
     console.print(headline(report["machine"], report["seed"], 1))
     if FRAMES in parts:
         _print_frames(parts[FRAMES]["rows"], console)
+    if MESHES in parts:
+        _print_meshes(parts[MESHES]["rows"], console)
     if POSES in parts:
         _print_poses(parts[POSES], console)
     console.print(goals_table(report["goals"]))
@@ -33,6 +35,16 @@ def _print_frames(rows: list[Mapping[str, Any]], console: Console) -> None:
         add_row(
             table, row["material"], row["code"], *counts, *rates, str(row["in_pieces"]), str(row["shared"]), level, f"{row['seconds']:.2f}"
         )
+    console.print(table)
+
+
+def _print_meshes(rows: list[Mapping[str, Any]], console: Console) -> None:
+    columns = ("objects", "regions", "at 0.5", "at 0.25", "in > 4", "largest", "floor off", "s")
+    table = table_of("instances of bare meshes", ("of", False), ("code", False), *((text, True) for text in columns))
+    for row in rows:
+        counts = [str(row[name]) for name in ("objects", "regions", "half", "quarter", "in_pieces")]
+        off = "n/a" if row["degrees"] is None else f"{row['degrees']:.2f} deg, {1000 * row['off_m']:.0f} mm"
+        add_row(table, row["material"], row["code"], *counts, f"{row['largest']:.1%}", off, f"{row['seconds']:.1f}")
     console.print(table)
 
 

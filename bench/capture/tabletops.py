@@ -47,7 +47,7 @@ VESSELS = ("bowl", "storage bin", "basket", "pot", "plate", "tray", "pan")
 CONTENTS = ("ball", "box", "can", "mouse", "cup", "candle", "remote control", "toilet paper")
 """What lies in them."""
 
-OTHERS = ("bottle", "camera", "clock", "jar", "kettle", "mug", "sculpture", "soap dispenser", "telephone", "toaster", "vase")
+OTHERS = ("bottle", "camera", "clock", "jar", "kettle", "mug", "soap dispenser", "telephone", "toaster", "vase")
 """What stands alone or against another thing."""
 
 CLEAR_M = 0.02

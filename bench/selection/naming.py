@@ -13,7 +13,7 @@ from schemas.capture import Instance
 from schemas.errors import InputError
 from tasks.alignment import AlignmentConfig, instance_frame
 from tasks.capture.cloud import vertex_areas
-from tasks.capture.instances.segmentation import RULED, guessed
+from tasks.capture.instances.naming import RULED, guessed
 from tasks.furniture import canonical_category
 from tasks.geometry.meshes import surface_of_glb
 from tasks.geometry.triangles import vertex_normals

@@ -115,7 +115,7 @@ def _is_free(scene: str, content: Content, scans: Mapping[str, Content]) -> bool
 
 def _nameless(path: str, scan: Scan) -> str:
     """A path of a scan's file with `*` for the scan's own name; a scan that is one file has whatever name that has."""
-    suffix = format_of(scan).suffix
-    if suffix and path.lower().endswith(suffix):
-        return f"*{suffix}"
+    for suffix in format_of(scan).suffixes:
+        if path.lower().endswith(suffix):
+            return f"*{suffix}"
     return "/".join(f"*{part.removeprefix(scan.scan)}" if part.startswith(scan.scan) else part for part in path.split("/"))

@@ -172,7 +172,7 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
             for path, name in inside:
                 if path == folder:
                     return [search.scan(format, folder, name)], []
-            if format.suffix and folder.suffix.lower() == format.suffix:
+            if folder.suffix.lower() in format.suffixes:
                 return [search.scan(format, folder, folder.stem)], []
         return [], [InputError(folder.name, "file", "is no scan", f"expected {_expected(wanted)}")]
     single = _single(folder, search)
@@ -180,9 +180,11 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
         return [single], []
     if depth and not search.admits(folder):
         return [], [leaving(folder)]
-    files = [(format, path, name) for format in wanted if format.within is not None for path, name in format.within(folder)]
-    known = {path for _, path, _ in files}
-    files += [(f, path, path.stem) for f in wanted if f.suffix for path in files_named(folder, f.suffix) if path not in known]
+    inside = {path: (format, name) for format in wanted if format.within is not None for path, name in format.within(folder)}
+    of_file = {path: (format, path.stem) for format in reversed(wanted) for path in files_named(folder, format.suffixes)}
+    named = {path.stem for path in inside}  # what has the name of such a scan belongs to it: the model beside a captured room
+    of_file = {path: own for path, own in of_file.items() if path.stem not in named} | inside
+    files = [(format, path, name) for path, (format, name) in sorted(of_file.items())]  # the first format that reads it
     scans = [search.scan(format, path, name) for format, path, name in files if search.admits(path)]
     errors = [leaving(path) for _, path, _ in files if not search.admits(path)]
     for child in folders_in(folder) if depth < 2 else []:
@@ -201,7 +203,7 @@ def _single(folder: Path, search: _Search) -> Scan | None:
     """The scan that `folder` itself is, or None. Names decide, wherever links among them lead."""
     for format in search.wanted:
         name = format.recognize(folder)
-        if name is not None and not (format.suffix and any(map(_is_recorded, folders_in(folder)))):
+        if name is not None and not (format.suffixes and any(map(_is_recorded, folders_in(folder)))):
             return search.scan(format, folder, name)
     return None
 

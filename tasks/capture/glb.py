@@ -13,6 +13,7 @@ from schemas.errors import InputError
 from tasks.capture.files.documents import license_of, name_of, read_bytes
 from tasks.capture.files.ply import check_vertices
 from tasks.capture.labels import Label
+from tasks.capture.mesh.bare import Y_UP, bare_reading
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Group, Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
@@ -20,7 +21,7 @@ from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import Surface, load_glb, parse_node_name, surface_of
 from tasks.geometry.triangles import face_areas
 
-SUFFIX = ".glb"
+SUFFIXES = (".glb",)
 
 MOST_SURFACE = 0.5
 """Share of a scene's surface that is more than a single object of a room has, and more than nodes without labels may have."""
@@ -42,7 +43,7 @@ def read_glb_scene(scan: Scan) -> Reading:
     Raises:
         InputError: it is no GLB, holds no triangles, or is not in metres.
     """
-    path = single_file(scan, SUFFIX)
+    path = single_file(scan, SUFFIXES)
     folder = path.parent
     name = name_of(path, folder)
     data = read_bytes(path, name, BUDGET.scene_bytes, GLB_MAGIC)
@@ -92,14 +93,11 @@ def is_label(name: str) -> bool:
     return any((len(word) > 1 or not word.isascii()) and word.lower() not in _NO_LABELS for word in words)
 
 
-def check_labelled(groups: Sequence[Group], meanings: Sequence[Label], surface: Surface, name: str) -> None:
-    """Refuse a mesh that is in one piece, or in pieces that nobody named: what would come of it is no scene.
+def undivided(groups: Sequence[Group], meanings: Sequence[Label], surface: Surface) -> str:
+    """What tells a mesh that is in one piece, or in pieces that nobody named; '' for a scene of objects.
 
     A node that is no wall, floor or ceiling must not hold more than MOST_SURFACE of all surface, nor must all nodes together
-    whose names are no labels. groups, meanings: Nodes and what their labels mean. name: The file.
-
-    Raises:
-        InputError: names the largest node.
+    whose names are no labels. groups, meanings: Nodes and what their labels mean.
     """
     areas = face_areas(surface.vertices, surface.faces)
     shares = {index: float(areas[group.faces].sum() / max(areas.sum(), 1e-12)) for index, group in enumerate(groups)}
@@ -107,17 +105,11 @@ def check_labelled(groups: Sequence[Group], meanings: Sequence[Label], surface: 
     nameless = {index: share for index, share in loose.items() if not is_label(groups[index].raw_label)}
     largest = max(loose, key=lambda index: loose[index], default=None)
     if largest is not None and loose[largest] > MOST_SURFACE:
-        raise InputError(name, f"node {groups[largest].source_id!r:.60}", f"holds {loose[largest]:.0%} of the surface", _NAME_THEM)
+        return f"node {groups[largest].source_id!r:.60} holds {loose[largest]:.0%} of the surface"
     if sum(nameless.values()) > MOST_SURFACE:
         first = groups[max(nameless, key=lambda index: nameless[index])].source_id
-        problem = f"{len(nameless)} with {sum(nameless.values()):.0%} of the surface have names that are no labels, as {first!r:.60}"
-        raise InputError(name, "nodes", problem, _NAME_THEM)
-
-
-_NAME_THEM = (
-    "divide it into a node for each object, wall and floor, named for what it is (chair_01, or model|category|part); or give posed RGB-D "
-    "frames, in which instances are found"
-)
+        return f"{len(nameless)} nodes with {sum(nameless.values()):.0%} of the surface have names that are no labels, as {first!r:.60}"
+    return ""
 
 
 def plain_label(name: str) -> str:
@@ -130,15 +122,22 @@ def plain_label(name: str) -> str:
 
 
 def _recognize(folder: Path) -> str | None:
-    return folder.name if len(files_named(folder, SUFFIX)) == 1 else None
+    return folder.name if len(files_named(folder, SUFFIXES)) == 1 else None
 
 
 def _files(scan: Scan, premises: Premises) -> list[Path]:
-    return [single_file(scan, SUFFIX)]
+    return [single_file(scan, SUFFIXES)]
 
 
-def _check(scan: Scan, groups: Sequence[Group], meanings: Sequence[Label], surface: Surface) -> None:
-    check_labelled(groups, meanings, surface, name_of(single_file(scan, SUFFIX), scan.folder))
+def _bare(scan: Scan, reading: Reading, meanings: Sequence[Label]) -> Reading | None:
+    """The file as a mesh without labels, where its nodes are no objects: instances are found in its geometry then."""
+    assert reading.surface is not None
+    problem = undivided(reading.groups or (), meanings, reading.surface)
+    if not problem:
+        return None
+    name = name_of(single_file(scan, SUFFIXES), scan.folder)
+    note = f"{name}: {problem}: read as a bare mesh; a node for each object (chair_01, or model|category|part) would be taken by its name"
+    return bare_reading(reading.parts, Y_UP, (*reading.degradations, note), reading.license, name)
 
 
 GLB = ScanFormat(
@@ -149,7 +148,7 @@ GLB = ScanFormat(
     is_recorded=lambda folder: False,
     files=_files,
     read=read_glb_scene,
-    suffix=SUFFIX,
+    suffixes=SUFFIXES,
     is_modelled=True,
-    check=_check,
+    bare=_bare,
 )

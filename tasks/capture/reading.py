@@ -60,10 +60,12 @@ class Reading:
     """A scan as read.
 
     surface: Scan mesh in the scan frame; None when there are only frames, to be fused.
-    parts: The same geometry with its textures, where the scan has any (GLB), in the order of `surface`.
+    parts: The same geometry with its textures, where the scan has any, with the faces of `surface` in their order; of vertices it may have
+        more, where textures split them.
     groups: Instances; None when the scan names none, to be found in the geometry.
     alignment: Scan frame to an aligned frame, 4x4 [m], where the scan states one.
     glb: The scan's own file where it is a GLB, which can be kept as it is when nothing moves.
+    materials: Which of its textures each face of `surface` has, shape (m,) int64, where the scan names no instances and has several.
     is_dense: Vertices lie as densely as a depth sensor leaves them, so that they can stand for the surface.
     """
 
@@ -77,6 +79,7 @@ class Reading:
     is_dense: bool = True
     degradations: tuple[str, ...] = ()
     glb: bytes | None = None
+    materials: NDArray[np.int64] | None = None
 
 
 def groups_of(named: Sequence[tuple[str, str, NDArray[np.int64]]], owner: NDArray[np.int64], surface: Surface) -> tuple[Group, ...]:

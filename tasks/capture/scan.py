@@ -13,8 +13,7 @@ from tasks.words import plain_word
 
 if TYPE_CHECKING:
     from tasks.capture.labels import Label
-    from tasks.capture.reading import Group, Reading
-    from tasks.geometry.meshes import Surface
+    from tasks.capture.reading import Reading
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,16 +25,16 @@ class ScanFormat:
     is_recorded: Whether a folder is or holds a scan of frames or of a sensor's mesh: then what lies beside it is a scan of its own.
     files: All files that `read` would read; links among them that leave the premises are left out, and remembered there.
     read: Everything that a scan states.
-    suffix: Of formats whose scans are single files: how their names end, in lower case.
+    suffixes: Of formats whose scans are single files: how their names end, in lower case.
     is_modelled: Somebody drew it: its axes are the author's, and its labels are names of nodes.
-    check: Refuses what would become no scene, once its labels are known: takes the scan, its instances, what their labels mean, and
-    its surface. signs: Patterns of paths that its scans have, by which a folder that is none is told what it lacks. is_plain: Anybody
+    bare: What was read of a scan as one that names no instances, where those that it names are no objects; None where they are. Takes
+    the scan, what was read, and what its labels mean. signs: Patterns of paths that its scans have, by which a folder that is none is told what it lacks. is_plain: Anybody
     can write it: what errors name where any format would do. room: Pattern of scene ids that are scans of one room, which its first
     group names. room_stated: The room's name where files say which scans are of one, None where they do not. shared: Files that several
     scans have in common may lie one folder above them. within: Of formats whose scans lie side by side in one folder: their main files
     and names, by the names in the folder.
 
-    `recognize` and `files` raise InputError for what is no scan and looks like one, `read` and `check` for files that cannot be used.
+    `recognize` and `files` raise InputError for what is no scan and looks like one, `read` and `bare` for files that cannot be used.
     What tells a broken copy from a whole one is only asked by a watch, and lies in `wholeness` of the format's package, where it
     has one: capture does not depend on it.
     """
@@ -47,9 +46,9 @@ class ScanFormat:
     is_recorded: Callable[[Path], bool]
     files: Callable[[Scan, Premises], Sequence[Path]]
     read: Callable[[Scan], Reading]
-    suffix: str = ""
+    suffixes: tuple[str, ...] = ()
     is_modelled: bool = False
-    check: Callable[[Scan, Sequence[Group], Sequence[Label], Surface], None] | None = None
+    bare: Callable[[Scan, Reading, Sequence[Label]], Reading | None] | None = None
     signs: tuple[str, ...] = ()
     is_plain: bool = False
     room: str = ""
@@ -93,21 +92,22 @@ def license_path(folder: Path, premises: Premises) -> Path | None:
     return path if (path.is_file() or path.is_symlink()) and premises.admits(path) and path.is_file() else None
 
 
-def files_named(folder: Path, suffix: str) -> list[Path]:
+def files_named(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     """Whatever in a folder has a name that ends so, in any case, and is no folder, sorted; hidden ones are passed over."""
-    named = (path for path in folder.iterdir() if path.suffix.lower() == suffix and not path.name.startswith("."))
+    named = (path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith("."))
     return sorted(path for path in named if not path.is_dir())
 
 
-def single_file(scan: Scan, suffix: str) -> Path:
+def single_file(scan: Scan, suffixes: Sequence[str]) -> Path:
     """The file of a scan that is one, or a folder with one in it.
 
     Raises:
         InputError: the folder does not hold exactly one, or it is a link that leaves the folder of scans.
     """
-    files = [scan.path] if not scan.path.is_dir() else files_named(scan.path, suffix)
+    files = [scan.path] if not scan.path.is_dir() else files_named(scan.path, suffixes)
     if len(files) != 1:
-        raise InputError(scan.path.name, "folder", f"holds {len(files)} {suffix} files, one is expected", "name the file itself")
+        problem = f"holds {len(files)} {' or '.join(suffixes)} files, one is expected"
+        raise InputError(scan.path.name, "folder", problem, "name the file itself")
     return own_file(scan, files[0].name)
 
 

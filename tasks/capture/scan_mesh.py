@@ -1,4 +1,4 @@
-"""The mesh of a scan as the lake keeps it."""
+"""The mesh of a scan as the lake keeps it: a GLB in the world frame."""
 
 from __future__ import annotations
 

@@ -20,8 +20,9 @@ from tasks.capture.formats import format_of, left_out, room_of
 from tasks.capture.fusion import FusionConfig, fused_surface
 from tasks.capture.instances.hidden import with_hidden_parts
 from tasks.capture.instances.merged import own_size, set_apart
+from tasks.capture.instances.naming import PROVIDER, UNKNOWN
 from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_solid, scanned_solid
-from tasks.capture.instances.segmentation import PROVIDER, geometry_groups
+from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
 from tasks.capture.instances.split import rejoined
 from tasks.capture.instances.views import Sight, best_sights, camera_up, run_lengths, view_of
 from tasks.capture.labels import CEILING, DOOR, FLOOR, WALL, WINDOW, Label, LabelMap, label_map
@@ -38,6 +39,7 @@ from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
 from tasks.capture.scan import Scan
 from tasks.capture.scan_mesh import scan_mesh
+from tasks.capture.small_objects.additions import OBJECT as NAMELESS
 from tasks.capture.small_objects.additions import Finder, Instances, SmallObjectsConfig, Unsought, with_small_objects
 from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import flat
@@ -63,6 +65,7 @@ class CaptureConfig(Config):
     max_faces: Count = 400_000  # The finest ScanNet meshes in use have about that; a viewer still turns it smoothly.
     poses: PosesConfig = dataclasses.field(default_factory=PosesConfig)  # see there
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
+    segmentation: SegmentationConfig = dataclasses.field(default_factory=SegmentationConfig)  # Used when nothing names instances.
     textures: TextureConfig = dataclasses.field(default_factory=TextureConfig)
     small_objects: SmallObjectsConfig = dataclasses.field(default_factory=SmallObjectsConfig)  # a scan names few of them
 
@@ -78,41 +81,38 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     Raises:
         InputError: a file of the scan cannot be used; names the file and the field.
     """
-    reading = read_scan(scan)
     labels = label_map(config.label_map)
     if labels.sha256 != config.label_map_sha256:
         raise InputError(config.label_map or "labels.csv", "content", "has changed since the run was planned", "start the run again")
+    reading, meanings, is_modelled = _read(scan, labels)
     reading, pose_notes = with_poses(reading, config.poses, scan.path.name)
     notes = [*reading.degradations, *pose_notes]
     surface = reading.surface
     if surface is None:
         surface, fusion_notes = fused_surface(reading.frames, config.fusion, scan.path.name)
         notes += fusion_notes
-    format = format_of(scan)
-    meanings = [_meaning(group, labels, format.is_modelled) for group in reading.groups or ()]
-    if format.check is not None:
-        format.check(scan, reading.groups or (), meanings, surface)
-    alignment = _aligned(reading, surface, meanings, is_authored=format.is_modelled)
+    alignment = _aligned(reading, surface, meanings, is_authored=is_modelled)
     notes += alignment.notes
     world = surface.transformed(alignment.pose)
-    groups = reading.groups
+    groups, probabilities = reading.groups, {}
     if groups is None:
-        groups, more = geometry_groups(world)
-        notes += more
-        meanings = [labels[group.raw_label.partition(":")[2]] for group in groups]
+        found = geometry_instances(world, config.segmentation, reading.materials)
+        groups, probabilities = found.groups, found.probabilities
+        notes += found.notes
+        meanings = [labels[NAMELESS if (name := group.raw_label.partition(":")[2]) == UNKNOWN else name] for group in groups]
     blobs = Blobs()
     solids = _solids(reading, world, groups, context, config)
-    if not format.is_modelled:
+    if not is_modelled:
         groups, meanings, solids, more = _mended(reading, world, groups, meanings, solids, labels, context, config)
         notes += more
-    sought = SmallObjectsConfig(provider=Unsought()) if format.is_modelled else config.small_objects  # who models names everything
+    sought = SmallObjectsConfig(provider=Unsought()) if is_modelled else config.small_objects  # who models names everything
     instances = with_small_objects(
         groups, meanings, solids, world, reading.frames, alignment.pose, labels, context, sought,
         most_frames=config.max_view_frames, most_views=config.views_per_instance,
     )  # fmt: skip
     groups, meanings, solids = instances.groups, instances.meanings, instances.solids
     notes += [*_unknown_labels(groups, meanings, scan.path.name), *instances.notes]
-    finders = [instances.finders.get(index) or _finder(group, reading) for index, group in enumerate(groups)]
+    finders = [instances.finders.get(index) or _finder(group, reading, probabilities) for index, group in enumerate(groups)]
     rows = [
         instance_row(
             context.scene_id, f"{index:04d}", group, label, solid, world, blobs, context.rng("points", index), config.max_points,
@@ -124,11 +124,11 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config, instances.finders)
     cloud = _cloud(reading, world, groups, context)
     classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
-    shell, is_seen, leaves = _shell(context, reading, cloud, classes, meanings, solids, notes, format.is_modelled)
-    if not format.is_modelled:
+    shell, is_seen, leaves = _shell(context, reading, cloud, classes, meanings, solids, notes, is_modelled)
+    if not is_modelled:
         rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell, leaves)
     shell, rooms, rows = parted(shell, rows, reading.room_type, is_seen)
-    surfaces = _surfaces(shell, reading, world, groups, meanings, config, blobs)
+    surfaces = _surfaces(shell, reading, world, alignment.pose, groups, meanings, config, blobs)
     mesh, mesh_notes = scan_mesh(reading, world, alignment, config.max_faces)
     scene = Scene(
         scene_id=context.scene_id,
@@ -190,6 +190,14 @@ def read_scan(scan: Scan) -> Reading:
     return dataclasses.replace(reading, degradations=(*reading.degradations, note)) if note else reading
 
 
+def _read(scan: Scan, labels: LabelMap) -> tuple[Reading, list[Label], bool]:
+    """What the files of a scan say, what its labels mean, and whether somebody drew it: a drawing whose nodes name no objects is a mesh."""
+    format, reading = format_of(scan), read_scan(scan)
+    meanings = [_meaning(group, labels, format.is_modelled) for group in reading.groups or ()]
+    bare = format.bare(scan, reading, meanings) if format.bare is not None else None
+    return (reading, meanings, format.is_modelled) if bare is None else (bare, [], False)
+
+
 def _meaning(group: Group, labels: LabelMap, is_node: bool) -> Label:
     return labels.of_node(group.raw_label, group.source_id) if is_node else labels[group.raw_label]
 
@@ -205,10 +213,11 @@ def _unknown_labels(groups: Sequence[Group], meanings: Sequence[Label], scan: st
     return list(lines.values())
 
 
-def _finder(group: Group, reading: Reading) -> Finder:
-    """Who found an instance that the scan has: its files, or its geometry."""
-    is_guess = reading.groups is None or group.raw_label.startswith(f"{PROVIDER}:")
-    return Finder("geometry" if is_guess else "file", None)
+def _finder(group: Group, reading: Reading, probabilities: Mapping[str, float]) -> Finder:
+    """Who found an instance that the scan has: its files, or its geometry. probabilities: Of guessed categories, by source id."""
+    if reading.groups is None or group.raw_label.startswith(f"{PROVIDER}:"):
+        return Finder(PROVIDER, probabilities.get(group.source_id))
+    return Finder("file", None)
 
 
 def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_authored: bool) -> Alignment:
@@ -335,9 +344,11 @@ def _is_let_in(label: Label) -> bool:
 
 
 def _surfaces(
-    room: Shell, reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], config: CaptureConfig, blobs: Blobs
-) -> list[RoomSurface]:
-    """How floor, walls and ceiling look. Faces with a corner of an object may have its colors, whatever they are named."""
+    room: Shell, reading: Reading, world: Surface, pose: NDArray[np.float64], groups: Sequence[Group], meanings: Sequence[Label],
+    config: CaptureConfig, blobs: Blobs,
+) -> list[RoomSurface]:  # fmt: skip
+    """How floor, walls and ceiling look. Faces with a corner of an object may have its colors, whatever they are named. pose: Scan frame to
+    world frame, 4x4 [m]."""
     is_object, kinds = np.zeros(len(world.vertices), dtype=bool), np.full(len(world.faces), LOOSE, dtype=np.int8)
     for group, label in zip(groups, meanings, strict=True):
         if label.is_structure:
@@ -345,14 +356,13 @@ def _surfaces(
         else:
             is_object[group.vertices] = True
     kinds[is_object[world.faces].any(axis=1)] = OBJECT
-    if reading.is_dense or not reading.parts:
+    if not reading.parts:
         return baked_surfaces(room, [world.to_trimesh()], [kinds], config.textures, blobs)
     faces = np.cumsum([0, *(len(part.faces) for part in reading.parts)])
-    corners = np.cumsum([0, *(len(part.vertices) for part in reading.parts)])
     parts = []
-    for part, (start, end) in zip(reading.parts, itertools.pairwise(corners), strict=True):
+    for part in reading.parts:
         moved = part.copy()
-        moved.vertices = world.vertices[start:end]
+        moved.vertices = np.asarray(part.vertices) @ pose[:3, :3].T + pose[:3, 3]
         parts.append(moved)
     own = [kinds[start:end] for start, end in itertools.pairwise(faces)]
     return baked_surfaces(room, parts, own, config.textures, blobs)

@@ -346,10 +346,22 @@ def capture(format_: str) -> list[Case]:
             return posed_rgbd()
         case "glb":
             return glb()
+        case "mesh":
+            return meshes()
     places = [f"tests.tasks.capture.{place}test_{format_}" for place in ("formats.", "")]
     module = next((place for place in places if find_spec(place) is not None), places[-1])
     test = import_module(module)
     return [folder_of(write) for write in (test.write_sample, *getattr(test, "FURTHER_SAMPLES", ()))]
+
+
+def meshes() -> list[Case]:
+    """A bare mesh in each kind of file."""
+    from tasks.geometry.meshes import Surface
+    from tests.tasks.capture.test_mesh import KINDS, written
+
+    box = trimesh.creation.box((0.8, 0.6, 0.7))
+    surface = Surface(np.asarray(box.vertices), np.asarray(box.faces), np.full((8, 3), 90, np.uint8))
+    return [folder_of(lambda root, kind=kind: written(root, surface, kind)) for kind in KINDS]
 
 
 def library() -> list[Case]:

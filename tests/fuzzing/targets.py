@@ -90,6 +90,7 @@ def _readers() -> list[Target]:
         Target("images", PARSER, seeds.images, _read_images),
         Target("labels", PARSER, seeds.labels, _read_labels),
         Target("navmesh", PARSER, seeds.navmesh, _read_navmesh),
+        Target("mesh", PARSER, seeds.meshes, _read_mesh),
         Target("settings", PARSER, seeds.settings, _read_settings),
         Target("parameters", PARSER, seeds.parameters, _read_parameters),
     ]
@@ -356,6 +357,15 @@ def _read_scan(format_: str) -> Callable[[Path], None]:
             room_of(scan)
 
     return read
+
+
+def _read_mesh(folder: Path) -> None:
+    from tasks.capture.formats import find_scans, scan_files
+    from tasks.capture.mesh import read_mesh
+
+    for scan in find_scans(folder, "mesh")[0]:
+        scan_files(scan)
+        read_mesh(scan)
 
 
 def _read_settings(folder: Path) -> None:

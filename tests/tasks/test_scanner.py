@@ -25,8 +25,9 @@ from tasks.geometry.triangles import vertex_normals
 from tasks.scanner import ScannerConfig, scan_scene
 from tasks.scanner.demo import ROOMS, demo_scan
 from tasks.scanner.scenery import scenery_of
-from tasks.scanner.segments import edges_of, segment
+from tasks.scanner.segments import segment
 from tasks.scanner.sensor import drift, scan_frame
+from tasks.segments import edges_of
 
 QUICK = ScannerConfig(depth_width=160, depth_height=120, color_width=160, color_height=120, voxel_m=0.03, view_limit=60, segment_least=12)
 """Coarse, so that a room takes seconds."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import click
 
@@ -16,13 +17,20 @@ from flows.commands.options import json_option
 @click.option("--walk-frames", type=click.IntRange(2, 5_000), default=300, show_default=True, help="Frames of each film.")
 @click.option("--open3d", metavar="PYTHON", default="", help="An interpreter that has open3d; else this one.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same frames.")
-@click.option("--parts", default="", help="Measure only these, with commas between: frames, poses.")
+@click.option("--rooms", type=click.IntRange(1, 10_000), default=10, show_default=True, help="Generated rooms, scanned as bare meshes.")
+@click.option(
+    "--realdata", type=click.Path(path_type=Path, file_okay=False), envvar="METASCENES_REALDATA", help="Folder with scans by others."
+)
+@click.option("--parts", default="", help="Measure only these, with commas between: frames, meshes, poses.")
 @json_option
-def capture(frames: int, walks: int, walk_frames: int, open3d: str, seed: int, parts: str, as_json: bool) -> None:
+def capture(
+    frames: int, rooms: int, realdata: Path | None, walks: int, walk_frames: int, open3d: str, seed: int, parts: str, as_json: bool
+) -> None:  # fmt: skip
     """Measure what is found in scans that name no instances.
 
     `frames`: single depth frames of generated tables, seen at 20 to 70 degrees, with things that touch, are stacked and lie in one another.
-    Beside it what the code before made of the same frames, which is taken out of the checkout's history; without history it is left out.
+    `meshes`: hard rooms as bare meshes, their labels withheld, and a house that somebody drew, without its names (`--realdata`).
+    Beside it what the code before made of the same scans, which is taken out of the checkout's history; without history it is left out.
 
     `poses`: films of a slow walk through a room whose poses are withheld, or drift by 3 % of the way, and what `capture.poses` with Open3D
     (`make open3d`) makes of them: places of the camera, and the surface that the frames fuse to, beside that of true poses.
@@ -34,5 +42,8 @@ def capture(frames: int, walks: int, walk_frames: int, open3d: str, seed: int, p
     from bench.capture.report import PARTS, CaptureBench, run_capture_bench
     from bench.capture.tables import print_capture
 
-    config = CaptureBench(frames, walks, walk_frames, open3d, seed, chosen_words(parts, PARTS, "--parts"))
+    config = CaptureBench(
+        frames=frames, rooms=rooms, realdata=realdata, walks=walks, walk_frames=walk_frames, open3d=open3d, seed=seed,
+        parts=chosen_words(parts, PARTS, "--parts"),
+    )  # fmt: skip
     run_measurement("measured", config.advances, partial(run_capture_bench, config), print_capture, as_json)

@@ -39,8 +39,9 @@ class PlyElement:
     fields: tuple[tuple[str, ...], ...]
 
 
-def read_ply(path: Path, name: str) -> Surface:
-    """The triangles of a PLY, with vertex colors (grey where it has none), in the file's frame [m].
+def read_ply(path: Path, name: str, is_in_metres: bool = True) -> Surface:
+    """The triangles of a PLY, with vertex colors (grey where it has none), in the file's frame and unit. is_in_metres: Its unit is the
+    metre, and it is held against the size of a scan.
 
     Raises:
         InputError: truncated, no triangles, too many faces, coordinates that are not finite or not in metres,
@@ -58,7 +59,8 @@ def read_ply(path: Path, name: str) -> Surface:
     if columns is None:
         columns = _by_library(data, name)
     vertices, faces, colors = columns
-    check_vertices(vertices, name)
+    if is_in_metres:
+        check_vertices(vertices, name)
     bad = (faces < 0) | (faces >= len(vertices))
     if bad.any():
         row = int(np.flatnonzero(bad.any(axis=1))[0])

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from tasks.capture.cloud import vertex_areas
 from tasks.capture.instances.boxes import clumps, oriented_box
+from tasks.capture.instances.naming import PROVIDER, UNKNOWN, guessed
 from tasks.capture.instances.panels import panels_of
-from tasks.capture.instances.segmentation import PROVIDER, guessed
 from tasks.capture.labels import OTHER_PROP, Label
 from tasks.capture.reading import Group
 from tasks.geometry.meshes import Surface
@@ -108,7 +108,7 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
             standing = [group.vertices[own] for own in _standing_on(points)]
             floor = float(np.quantile(points[:, 2], 0.05))
             parts = [(_guessed(world.vertices[own], normals[own], areas[own], floor), own) for own in standing]
-            parts = [part for part in parts if part[0] != "object"]
+            parts = [part for part in parts if part[0] != UNKNOWN]
         elif label.category.split(" ")[-1] in KITCHEN:
             neighbors = [other.vertices for k, other in enumerate(groups) if k != at and not meanings[k].is_structure]
             slab = _worktop(points, normals[group.vertices], world.vertices[np.concatenate([[], *neighbors]).astype(np.int64)])
@@ -135,7 +135,7 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
 
 
 def _guessed(points: Array, normals: Array, areas: Array, floor: float) -> str:
-    """Category of what stands at a height [m], whether its legs were seen or not; `object` when it looks like nothing that is known."""
+    """Category of what stands at a height [m], whether its legs were seen or not; `unknown` when it looks like nothing that is known."""
     feet = points * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
     category = guessed(np.concatenate([points, feet]), np.concatenate([normals, 0.0 * normals]), np.concatenate([areas, 0.0 * areas]))
     if category in ("bed", "sofa") and points[:, 2].min() > floor + RAISED_M:

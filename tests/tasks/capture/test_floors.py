@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tasks.capture.instances.segmentation import geometry_groups
+from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
 from tasks.capture.rooms.alignment import facets, floor_height
 from tasks.geometry.meshes import Surface
 from tests.capture_scans import plate
@@ -46,7 +46,8 @@ def test_what_lies_low_in_a_scan_without_a_floor_keeps_its_own_name() -> None:
     mat[:, :, 2] += 0.035 * np.sin(40 * mat[:, :, 0])  # too rough to count as level
     triangles = np.concatenate([box, mat])
     vertices, faces = np.unique(triangles.reshape(-1, 3).round(9), axis=0, return_inverse=True)
-    groups, _ = geometry_groups(Surface(vertices, faces.reshape(-1, 3), np.full((len(vertices), 3), 128, dtype=np.uint8)))
+    surface = Surface(vertices, faces.reshape(-1, 3), np.full((len(vertices), 3), 128, dtype=np.uint8))
+    groups = geometry_instances(surface, SegmentationConfig()).groups
     assert "floor" not in {group.raw_label.split(":")[1] for group in groups}
     assert len(groups) == 2
 

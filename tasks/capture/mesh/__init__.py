@@ -1,0 +1,71 @@
+"""Bare meshes: what scanning apps and collections of scans export, without a word on what is in it.
+
+GLB (Polycam, Scaniverse, HM3D), OBJ with its materials and textures (Polycam, Matterport), PLY with colors of vertices (Scaniverse,
+Replica, ScanNet's own), and USDZ (Polycam, Scaniverse).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from schemas.budget import BUDGET
+from schemas.errors import InputError
+from tasks.capture.files.documents import license_of, name_of
+from tasks.capture.files.ply import read_ply
+from tasks.capture.mesh.bare import Y_UP, Stated, bare_reading
+from tasks.capture.premises import Premises
+from tasks.capture.reading import Reading
+from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
+from tasks.ingestion import models
+from tasks.library.obj import OBJ
+from tasks.library.usd import USD
+
+SUFFIXES = (".obj", ".ply", ".usdz", ".glb")
+"""Of files that are read. GLBs are looked at as scenes of named objects first, unless this format is asked for by name."""
+
+NO_FRAMES = "no frames in the scan: no views, no masks"
+
+
+def read_mesh(scan: Scan) -> Reading:
+    """The triangles of a mesh with their textures, +Z up [m]; its instances are left to be found in the geometry.
+
+    Raises:
+        InputError: the file is broken, larger than the budget, without triangles, or of no size that any unit explains.
+    """
+    path = single_file(scan, SUFFIXES)
+    name, root = name_of(path, path.parent), path.parent
+    license = license_of(license_path(scan.folder, scan.premises))
+    kind = path.suffix.lower()
+    if kind == ".ply":
+        surface = read_ply(path, name, is_in_metres=False)
+        return bare_reading([surface.to_trimesh()], Stated(None, "z", "most of its kind"), (NO_FRAMES,), license, name)
+    try:
+        if kind == ".glb":
+            parts, notes = models.read_model(path, root, is_z_up=False, limit=BUDGET.scene_bytes)
+            return bare_reading(parts, Y_UP, (NO_FRAMES, *notes), license, name)
+        model = (OBJ if kind == ".obj" else USD).read(path, root)
+    except InputError as error:
+        raise InputError(name, error.field, error.problem, error.remedy) from error
+    stated = Stated(model.unit_m, model.up or "y", "its file" if model.up else "most of its kind")
+    return bare_reading(model.parts, stated, (NO_FRAMES, *model.notes), license, name)
+
+
+def _recognize(folder: Path) -> str | None:
+    return folder.name if len(files_named(folder, SUFFIXES)) == 1 else None
+
+
+def _files(scan: Scan, premises: Premises) -> list[Path]:
+    path = single_file(scan, SUFFIXES)
+    return [path, *(file for file in models.material_files(path, path.parent) if premises.admits(file))]
+
+
+MESH = ScanFormat(
+    name="mesh",
+    dataset="mesh",
+    expected="one mesh as .obj, .ply, .usdz or .glb",
+    recognize=_recognize,
+    is_recorded=lambda folder: False,
+    files=_files,
+    read=read_mesh,
+    suffixes=SUFFIXES,
+)

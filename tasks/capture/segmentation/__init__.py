@@ -1,0 +1,1 @@
+"""Instances of depth frames without labels, by geometry alone: neighbors of the image, planes, patches, local convexity."""
