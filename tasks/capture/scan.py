@@ -28,11 +28,11 @@ class ScanFormat:
     suffixes: Of formats whose scans are single files: how their names end, in lower case.
     is_modelled: Somebody drew it: its axes are the author's, and its labels are names of nodes.
     bare: What was read of a scan as one that names no instances, where those that it names are no objects; None where they are. Takes
-    the scan, what was read, and what its labels mean. signs: Patterns of paths that its scans have, by which a folder that is none is told what it lacks. is_plain: Anybody
-    can write it: what errors name where any format would do. room: Pattern of scene ids that are scans of one room, which its first
-    group names. room_stated: The room's name where files say which scans are of one, None where they do not. shared: Files that several
-    scans have in common may lie one folder above them. within: Of formats whose scans lie side by side in one folder: their main files
-    and names, by the names in the folder.
+    the scan, what was read, and what its labels mean. signs: Patterns of paths that its scans have, by which a folder that is none is
+    told what it lacks. is_plain: Anybody can write it: what errors name where any format would do. room: Pattern of scene ids that are
+    scans of one room, which its first group names. room_stated: The room's name where files say which scans are of one, None where they
+    do not. shared: Files that several scans have in common may lie one folder above them. within: Of formats whose scans lie side by
+    side in one folder: their main files and names, by the names in the folder.
 
     `recognize` and `files` raise InputError for what is no scan and looks like one, `read` and `bare` for files that cannot be used.
     What tells a broken copy from a whole one is only asked by a watch, and lies in `wholeness` of the format's package, where it
