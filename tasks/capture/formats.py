@@ -175,6 +175,9 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
             if folder.suffix.lower() in format.suffixes:
                 return [search.scan(format, folder, folder.stem)], []
         return [], [InputError(folder.name, "file", "is no scan", f"expected {_expected(wanted)}")]
+    if len(wanted) > 1 and is_like(folder, wanted):
+        wanted = tuple(format for format in wanted if not format.is_last_resort)
+        search = dataclasses.replace(search, wanted=wanted)
     single = _single(folder, search)
     if single is not None:
         return [single], []

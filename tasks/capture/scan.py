@@ -29,10 +29,11 @@ class ScanFormat:
     is_modelled: Somebody drew it: its axes are the author's, and its labels are names of nodes.
     bare: What was read of a scan as one that names no instances, where those that it names are no objects; None where they are. Takes
     the scan, what was read, and what its labels mean. signs: Patterns of paths that its scans have, by which a folder that is none is
-    told what it lacks. is_plain: Anybody can write it: what errors name where any format would do. room: Pattern of scene ids that are
-    scans of one room, which its first group names. room_stated: The room's name where files say which scans are of one, None where they
-    do not. shared: Files that several scans have in common may lie one folder above them. within: Of formats whose scans lie side by
-    side in one folder: their main files and names, by the names in the folder.
+    told what it lacks. is_plain: Anybody can write it: what errors name where any format would do. is_last_resort: Takes any file of
+    its suffixes: none of a folder that looks like another format's. room: Pattern of scene ids that are scans of one room, which its
+    first group names. room_stated: The room's name where files say which scans are of one, None where they do not. shared: Files that
+    several scans have in common may lie one folder above them. within: Of formats whose scans lie side by side in one folder: their
+    main files and names, by the names in the folder.
 
     `recognize` and `files` raise InputError for what is no scan and looks like one, `read` and `bare` for files that cannot be used.
     What tells a broken copy from a whole one is only asked by a watch, and lies in `wholeness` of the format's package, where it
@@ -51,6 +52,7 @@ class ScanFormat:
     bare: Callable[[Scan, Reading, Sequence[Label]], Reading | None] | None = None
     signs: tuple[str, ...] = ()
     is_plain: bool = False
+    is_last_resort: bool = False
     room: str = ""
     room_stated: Callable[[Scan], str | None] | None = None
     shared: bool = False

@@ -68,4 +68,5 @@ MESH = ScanFormat(
     files=_files,
     read=read_mesh,
     suffixes=SUFFIXES,
+    is_last_resort=True,
 )
