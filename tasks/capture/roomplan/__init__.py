@@ -19,7 +19,7 @@ from tasks.capture.premises import Premises
 from tasks.capture.reading import Group, Reading
 from tasks.capture.roomplan.elements import elements_of
 from tasks.capture.roomplan.surfaces import box_part, floor_part, floor_within, panel_part, wall_part
-from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, own_file
+from tasks.capture.scan import Scan, ScanFormat, license_path, own_file
 from tasks.geometry.meshes import surface_of
 
 _NAMED = re.compile(r"(captured|roomplan).*\.json", re.IGNORECASE)
@@ -96,8 +96,10 @@ def _room_type(sections: Any) -> str:
 
 def _documents(folder: Path) -> Sequence[Path]:
     """JSON files that are those of a captured room by their names, or by a USDZ of the same name beside them."""
-    models = {path.stem for path in files_named(folder, ".usdz")}
-    return [path for path in files_named(folder, ".json") if _NAMED.fullmatch(path.name) or path.stem in models]
+    files = sorted(path for path in folder.iterdir() if not path.name.startswith(".") and not path.is_dir())
+    models = {path.stem for path in files if path.suffix.lower() == ".usdz"}
+    documents = (path for path in files if path.suffix.lower() == ".json")
+    return [path for path in documents if _NAMED.fullmatch(path.name) or path.stem in models]
 
 
 def _document(folder: Path) -> Path:

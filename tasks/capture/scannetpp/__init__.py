@@ -62,12 +62,6 @@ def _has_mesh(folder: Path) -> bool:
     return path.is_file() or path.is_symlink()
 
 
-def _recognize(folder: Path) -> str | None:
-    if not _has_mesh(folder):
-        return None
-    return folder.parent.name if folder.name == PLACE and folder.parent.name else folder.name
-
-
 def _files(scan: Scan, premises: Premises) -> list[Path]:
     place = _place(scan.folder)
     if not premises.admits(place):
@@ -79,7 +73,7 @@ SCANNETPP = ScanFormat(
     name="scannetpp",
     dataset="scannetpp",
     expected=f"{PLACE}/{MESH} with {SEGMENTS} and {ANNOTATION}",
-    recognize=_recognize,
+    recognize=lambda folder: folder.name if _has_mesh(folder) else None,
     is_recorded=lambda folder: _has_mesh(folder) or any(map(_has_mesh, folders_in(folder))),
     files=_files,
     read=read_scannetpp,

@@ -26,6 +26,7 @@ from flows.scans.erasure import erase_from_caches
 from flows.scans.listing import MAX_NAME_BYTES, ScanFile, listed_folder, usable_paths
 from flows.scans.mirror import FetchError, StoreSource
 from schemas.errors import InputError
+from schemas.families.scan_formats import SCAN_FORMATS
 from tasks.capture.formats import find_scans, scan_files
 from tasks.capture.scan import Scan
 from tests.conftest import REPOSITORY
@@ -185,12 +186,20 @@ def test_who_names_scenes_hears_nothing_of_the_rest(tmp_path: Path) -> None:
 
 # ------------------------------------------------------------------------------------------------ listings
 
-NAMES = st.sampled_from(["a", "scene0001_00", "color", "depth", "pose", "frames", "intrinsic", ".hidden"])
+NAMES = st.sampled_from(
+    [
+        "a", "scene0001_00", "color", "depth", "pose", "frames", "intrinsic", ".hidden", "rgb", "scans", "habitat", "region_segmentations",
+        "rgbd", "a_frames", "lowres_wide", "sequence",
+    ]
+)  # fmt: skip
 ENDS = st.sampled_from(
     [
         "scene0001_00_vh_clean_2.ply", "scene0001_00.aggregation.json", "scene0001_00_vh_clean_2.0.010000.segs.json", "scene0001_00.sens",
         "scene0001_00.txt", "a.glb", "b.glb", ".c.glb.X1y2Z3", "0.jpg", "1.jpg", "0.png", "1.png", "0.txt", "pose.txt", "intrinsics.json",
         "frame-000000.color.jpg", "frame-000000.depth.pgm", "LICENSE.txt", "a", "color", "intrinsic_color.txt",
+        "rgb.txt", "depth.txt", "odometry.csv", "camera_matrix.csv", "metadata", "metadata.csv", "mesh_aligned_0.05.ply", "region0.ply",
+        "region0.semseg.json", "mesh_semantic.ply", "info_semantic.json", "3RScan.json", "semseg.v2.json", "mesh.refined.v2.obj",
+        "a_3dod_mesh.ply", "lowres_wide.traj", "Room.json", "Room.usdz",
     ]
 )  # fmt: skip
 TREES = st.lists(st.builds(lambda folders, name: "/".join([*folders, name]), st.lists(NAMES, max_size=4), ENDS), max_size=14, unique=True)
@@ -207,7 +216,7 @@ def outcome(folder: Path, format: str) -> Any:
 
 @pytest.mark.whole
 @settings(deadline=None, max_examples=400)
-@given(TREES, st.sampled_from(["auto", "scannet", "posed_rgbd", "glb"]))
+@given(TREES, st.sampled_from(["auto", *SCAN_FORMATS]))
 def test_a_listing_finds_what_the_folder_finds(paths: list[str], format: str) -> None:
     files, _ = usable_paths(ScanFile(path, len(path), LONG_AGO * 10**9, "tag") for path in paths)
     if not files:
@@ -224,6 +233,7 @@ def test_a_listing_finds_what_the_folder_finds(paths: list[str], format: str) ->
             assert {file.path for file in listing.files} >= {
                 path.relative_to(listing.scan.path if listing.scan.path.is_dir() else listing.scan.path.parent).as_posix()
                 for path in scan_files(listing.scan)
+                if path.is_relative_to(listing.scan.folder)
             }
 
 

@@ -25,7 +25,7 @@ def told(folder: Path) -> str:
 
 CASES: dict[str, tuple[Callable[[Path], None], str]] = {
     "scannetpp": (lambda folder: (folder / "scans" / "mesh_aligned_0.05.ply").unlink(), "scans/mesh_aligned_0.05.ply"),
-    "replica_v1": (lambda folder: (folder / "habitat" / "info_semantic.json").unlink(), "habitat/info_semantic.json"),
+    "replica_v1": (lambda folder: (folder / "habitat" / "mesh_semantic.ply").unlink(), "habitat/mesh_semantic.ply"),
     "tum_rgbd": (lambda folder: (folder / "depth.txt").unlink(), "depth.txt"),
     "stray_scanner": (lambda folder: (folder / "camera_matrix.csv").rename(folder.parent / "c"), "camera_matrix.csv"),
     "record3d": (lambda folder: (folder / "metadata").unlink(), "metadata"),

@@ -22,7 +22,6 @@ def test_instances_are_those_of_the_native_format(tmp_path: Path) -> None:
     reading = read(tmp_path)
     assert_same_instances(reading, sample())
     assert only_scan(tmp_path).scene_id == "scannetpp/0a5c013435"
-    assert only_scan(tmp_path / "0a5c013435" / "scans").scene_id == "scannetpp/0a5c013435"
     assert [group.origin for group in reading.groups or ()][:1] == ["segments_anno.json: segGroups[0].label"]
     assert find_gap(only_scan(tmp_path)) is None
 
