@@ -157,7 +157,7 @@ def found_in(path: Path, vertices: Array) -> tuple[Indices, Array]:
     vertices: As the file has them [m], shape (n, 3); what is read has one at each place."""
     from scipy.spatial import cKDTree
 
-    (scan,), _ = find_scans(path, "mesh")
+    (scan,), _ = find_scans(path, "bare_mesh")
     reading = format_of(scan).read(scan)
     assert reading.surface is not None
     pose = align(reading.surface).pose
@@ -206,7 +206,7 @@ def mesh_score(owner: Indices, found: Indices, weights: Array, counted: Indices)
 def score_house(path: Path) -> MeshScore:
     """What is found in a drawn house whose names are withheld, by surface; objects are what its author named, but for walls and floor."""
     clock = time.perf_counter()
-    (scan,), _ = find_scans(path, "mesh")
+    (scan,), _ = find_scans(path, "bare_mesh")
     reading = format_of(scan).read(scan)
     assert reading.surface is not None
     surface = reading.surface.transformed(align(reading.surface).pose)

@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-SCAN_FORMATS = ("scannet", "posed_rgbd", "glb", "mesh")
-"""In the order in which they are looked for: `mesh`, which takes any folder with one mesh in it, is the last."""
+SCAN_FORMATS = ("scannet", "posed_rgbd", "glb", "bare_mesh")
+"""In the order in which they are looked for: `bare_mesh`, which takes any folder with one mesh in it, is the last."""

@@ -345,7 +345,7 @@ def capture(format_: str) -> list[Case]:
             return posed_rgbd()
         case "glb":
             return glb()
-        case "mesh":
+        case "bare_mesh":
             return meshes()
     return [folder_of(import_module(f"tests.tasks.capture.test_{format_}").write_sample)]
 
@@ -353,7 +353,7 @@ def capture(format_: str) -> list[Case]:
 def meshes() -> list[Case]:
     """A bare mesh in each kind of file."""
     from tasks.geometry.meshes import Surface
-    from tests.tasks.capture.test_mesh import KINDS, written
+    from tests.tasks.capture.test_mesh_files import KINDS, written
 
     box = trimesh.creation.box((0.8, 0.6, 0.7))
     surface = Surface(np.asarray(box.vertices), np.asarray(box.faces), np.full((8, 3), 90, np.uint8))
