@@ -49,6 +49,7 @@ NAMES = {name for names, _ in FAMILIES.values() for name in names}
 ROOMS = ("schemas", "tasks", "warehouse", "flows", "bench")
 
 ELSEWHERE = {
+    "bench/capture/meshes.py bare_mesh": "names of nodes are withheld by asking for the format that reads none",
     "bench/colliders.py library": "where measured assets come from: a folder of models",
     "bench/engines/scenes.py mjcf": "the files that the benchmark's engines read, each of one format",
     "bench/engines/scenes.py urdf": "as above",

@@ -41,6 +41,7 @@ OWN = {
     "tasks/exports/usd/package.py package": "packs what was just exported",
     "tasks/exports/wavefront.py as_png": "turns textures of the lake",
     "tasks/captions/physics.py materials": "reads the package's own table",
+    "tasks/capture/instances/naming.py _shapes": "reads the package's own table",
     "tasks/geometry/encoded_images.py encoded_image": "reads blobs of the lake",
     "tasks/geometry/meshes.py asset_surface": "reads blobs of the lake",
     "tasks/geometry/meshes.py read_points": "reads blobs of the lake",

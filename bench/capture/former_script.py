@@ -15,7 +15,7 @@ def found(path: Path) -> dict[str, Any]:
     from tasks.capture import scenes
     from tasks.capture.formats import find_scans, format_of
     from tasks.capture.fusion import FusionConfig, fused_surface
-    from tasks.capture.instances.segmentation import geometry_groups
+    from tasks.capture.instances.segmentation import geometry_groups  # type: ignore[attr-defined]  # of that commit
 
     nothing = {
         "vertices": np.zeros((0, 3)),

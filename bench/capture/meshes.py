@@ -63,9 +63,11 @@ class MeshScore:
     seconds: float
 
     def __add__(self, other: MeshScore) -> MeshScore:
-        counts = (getattr(self, name) + getattr(other, name) for name in ("objects", "regions", "half", "quarter", "in_pieces"))
-        worst = [_worst(getattr(self, name), getattr(other, name)) for name in ("degrees", "off_m")]
-        return MeshScore(*counts, max(self.largest, other.largest), *worst, self.seconds + other.seconds)
+        return MeshScore(
+            self.objects + other.objects, self.regions + other.regions, self.half + other.half, self.quarter + other.quarter,
+            self.in_pieces + other.in_pieces, max(self.largest, other.largest), _worst(self.degrees, other.degrees),
+            _worst(self.off_m, other.off_m), self.seconds + other.seconds,
+        )  # fmt: skip
 
 
 def _worst(a: float | None, b: float | None) -> float | None:
@@ -76,13 +78,16 @@ def _worst(a: float | None, b: float | None) -> float | None:
 @dataclasses.dataclass(frozen=True)
 class BareRoom:
     """A hard room as a scan that names nothing. mesh: Its file. folder: The same as a folder of ScanNet, for code that reads no other.
-    owner: Of each vertex, -1 for nobody's, shape (n,). counted: Objects that the scan shows enough of."""
+    vertices: Scan frame [m], shape (n, 3). owner: Of each, -1 for nobody's, shape (n,). counted: Objects that the scan shows enough of.
+    areas: Of each vertex [m2], shape (n,). floor: Those that are truly the floor's, shape (k,)."""
 
     mesh: Path
     folder: Path
+    vertices: Array
     owner: Indices
     counted: Indices
     areas: Array
+    floor: Indices
     truth: DwellingTruth
 
 
@@ -135,19 +140,24 @@ def bare_room(folder: Path, index: int, seed: int) -> BareRoom:
     areas = np.bincount(
         surface.faces.ravel(), weights=np.repeat(face_areas(surface.vertices, surface.faces) / 3, 3), minlength=len(surface.vertices)
     )
-    return BareRoom(mesh, scan, owner, np.array(counted, dtype=np.int64), areas, truth)
+    is_floor = np.array([obj.category == "floor" for obj in scenery.objects])
+    floor = np.flatnonzero((owner >= 0) & is_floor[owner])
+    return BareRoom(mesh, scan, surface.vertices, owner, np.array(counted, dtype=np.int64), areas.astype(np.float64), floor, truth)
 
 
 def score_now(room: BareRoom) -> MeshScore:
     """What this code finds in a room's mesh."""
     clock = time.perf_counter()
-    found, pose = found_in(room.mesh)
+    found, pose = found_in(room.mesh, room.vertices)
     return _scored(room, found, pose, time.perf_counter() - clock)
 
 
-def found_in(path: Path) -> tuple[Indices, Array]:
-    """Region of each vertex of a mesh that names nothing, -1 for none and for the room, shape (n,); and scan frame to world frame, 4x4."""
-    (scan,), _ = find_scans(path, "mesh")
+def found_in(path: Path, vertices: Array) -> tuple[Indices, Array]:
+    """Region of each vertex of a mesh that names nothing, -1 for none and for the room, shape (n,); and scan frame to world frame, 4x4.
+    vertices: As the file has them [m], shape (n, 3); what is read has one at each place."""
+    from scipy.spatial import cKDTree
+
+    (scan,), _ = find_scans(path, "bare_mesh")
     reading = format_of(scan).read(scan)
     assert reading.surface is not None
     pose = align(reading.surface).pose
@@ -155,7 +165,7 @@ def found_in(path: Path) -> tuple[Indices, Array]:
     groups = geometry_instances(reading.surface.transformed(pose), SegmentationConfig(), reading.materials).groups
     for number, group in enumerate(group for group in groups if group.raw_label not in ROOM):
         found[group.vertices] = number
-    return found, pose
+    return found[cKDTree(reading.surface.vertices).query(vertices)[1]], pose
 
 
 def score_former(room: BareRoom, scan: FormerScan) -> MeshScore:
@@ -171,10 +181,8 @@ def score_former(room: BareRoom, scan: FormerScan) -> MeshScore:
 def _scored(room: BareRoom, found: Indices, pose: Array, seconds: float) -> MeshScore:
     score = mesh_score(room.owner, found, np.ones(len(found)), room.counted)
     share = np.bincount(found[found >= 0], weights=room.areas[found >= 0]).max(initial=0.0) / room.areas.sum()
-    true = matrix(room.truth.alignment)
-    degrees = float(np.rad2deg(np.arccos(np.clip(pose[2, :3] @ true[2, :3], -1.0, 1.0))))
-    center = np.array([[*np.concatenate([each.polygon for each in room.truth.rooms]).mean(axis=0).tolist(), 0.0]])
-    off = abs(float(transform_points(transform_points(center, np.linalg.inv(true)), pose)[0, 2]))
+    degrees = float(np.rad2deg(np.arccos(np.clip(pose[2, :3] @ matrix(room.truth.alignment)[2, :3], -1.0, 1.0))))
+    off = abs(float(np.median(transform_points(room.vertices[room.floor], pose)[:, 2])))  # where the scan has it: drift moves all of it
     return dataclasses.replace(score, largest=float(share), degrees=degrees, off_m=off, seconds=seconds)
 
 
@@ -198,7 +206,7 @@ def mesh_score(owner: Indices, found: Indices, weights: Array, counted: Indices)
 def score_house(path: Path) -> MeshScore:
     """What is found in a drawn house whose names are withheld, by surface; objects are what its author named, but for walls and floor."""
     clock = time.perf_counter()
-    (scan,), _ = find_scans(path, "mesh")
+    (scan,), _ = find_scans(path, "bare_mesh")
     reading = format_of(scan).read(scan)
     assert reading.surface is not None
     surface = reading.surface.transformed(align(reading.surface).pose)

@@ -10,10 +10,10 @@ import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
+from tasks.capture.bare_mesh.upright import Y_UP, bare_reading
 from tasks.capture.files.documents import license_of, name_of, read_bytes
 from tasks.capture.files.ply import check_vertices
 from tasks.capture.labels import Label
-from tasks.capture.mesh.bare import Y_UP, bare_reading
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Group, Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file

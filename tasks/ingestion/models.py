@@ -105,6 +105,9 @@ def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[
             raise InputError(name, "vertices", f"have {part.vertices.shape[-1]} numbers, not 3", "export it again")
         if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
             raise InputError(name, "faces", "name vertices that are not there", "export it again")
+        uv = getattr(part.visual, "uv", None)
+        if uv is not None and np.shape(uv)[1:] not in ((2,), (3,)):
+            raise InputError(name, "texture coordinates", "have one number, not two", "export it again")
     return parts, [f"{name}: {missing} is missing, drawn without it" for missing in resolver.missing]
 
 

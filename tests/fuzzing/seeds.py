@@ -346,7 +346,7 @@ def capture(format_: str) -> list[Case]:
             return posed_rgbd()
         case "glb":
             return glb()
-        case "mesh":
+        case "bare_mesh":
             return meshes()
     places = [f"tests.tasks.capture.{place}test_{format_}" for place in ("formats.", "")]
     module = next((place for place in places if find_spec(place) is not None), places[-1])
@@ -357,7 +357,7 @@ def capture(format_: str) -> list[Case]:
 def meshes() -> list[Case]:
     """A bare mesh in each kind of file."""
     from tasks.geometry.meshes import Surface
-    from tests.tasks.capture.test_mesh import KINDS, written
+    from tests.tasks.capture.test_mesh_files import KINDS, written
 
     box = trimesh.creation.box((0.8, 0.6, 0.7))
     surface = Surface(np.asarray(box.vertices), np.asarray(box.faces), np.full((8, 3), 90, np.uint8))

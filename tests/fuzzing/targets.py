@@ -360,10 +360,10 @@ def _read_scan(format_: str) -> Callable[[Path], None]:
 
 
 def _read_mesh(folder: Path) -> None:
+    from tasks.capture.bare_mesh import read_mesh
     from tasks.capture.formats import find_scans, scan_files
-    from tasks.capture.mesh import read_mesh
 
-    for scan in find_scans(folder, "mesh")[0]:
+    for scan in find_scans(folder, "bare_mesh")[0]:
         scan_files(scan)
         read_mesh(scan)
 

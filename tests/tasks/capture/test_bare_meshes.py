@@ -230,7 +230,7 @@ def test_real_meshes_without_named_nodes_are_taken_and_not_taken_apart(realdata:
 def test_a_real_house_without_its_names_is_divided_into_what_its_author_drew(realdata: Callable[[str], Path]) -> None:
     """Two thirds of what the author named have an instance that is at least half theirs, by surface."""
     path = realdata("scene_aws_small_house") / "house.glb"
-    (scan,), _ = find_scans(path, "mesh")
+    (scan,), _ = find_scans(path, "bare_mesh")
     reading = format_of(scan).read(scan)
     assert reading.surface is not None
     surface = reading.surface.transformed(align(reading.surface).pose)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
+from tasks.capture.bare_mesh.upright import Y_UP, Stated, bare_reading
 from tasks.capture.files.documents import license_of, name_of
 from tasks.capture.files.ply import read_ply
-from tasks.capture.mesh.bare import Y_UP, Stated, bare_reading
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
@@ -59,8 +59,8 @@ def _files(scan: Scan, premises: Premises) -> list[Path]:
     return [path, *(file for file in models.material_files(path, path.parent) if premises.admits(file))]
 
 
-MESH = ScanFormat(
-    name="mesh",
+BARE_MESH = ScanFormat(
+    name="bare_mesh",
     dataset="mesh",
     expected="one mesh as .obj, .ply, .usdz or .glb",
     recognize=_recognize,

@@ -15,9 +15,9 @@ from PIL import Image
 
 from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run
+from tasks.capture.bare_mesh import read_mesh
 from tasks.capture.files.ply import read_ply
 from tasks.capture.formats import find_scans, scan_files
-from tasks.capture.mesh import read_mesh
 from tasks.furniture.rooms import furnish
 from tasks.geometry.meshes import Surface, dump_glb, load_glb, material_of
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP, yaw_pose
@@ -81,7 +81,7 @@ def _usda(surface: Surface, unit: float = 1.0, up: str = "Z") -> str:
 
 
 def captured(path: Path) -> Outcome:
-    (scan,), errors = find_scans(path, "mesh" if path.suffix else "auto")
+    (scan,), errors = find_scans(path, "bare_mesh" if path.suffix else "auto")
     assert not errors
     return run(scan=scan, context=Context("demo/room", "capture", 3, {}), config=CaptureConfig())
 
@@ -133,7 +133,7 @@ def furnished_box() -> Surface:
 
 
 def notes_and_surface(folder: Path, surface: Surface, kind: str) -> tuple[str, Surface]:
-    (scan,), _ = find_scans(written(folder, surface, kind), "mesh")
+    (scan,), _ = find_scans(written(folder, surface, kind), "bare_mesh")
     reading = read_mesh(scan)
     assert reading.surface is not None
     return "\n".join(reading.degradations), reading.surface
@@ -194,7 +194,7 @@ def floor_share(surface: Surface) -> float:
 def test_files_of_an_obj_are_what_a_scene_depends_on(tmp_path: Path) -> None:
     written(tmp_path / "scan", furnished_box(), "obj")
     (scan,), errors = find_scans(tmp_path)
-    assert (scan.scene_id, scan.format, errors) == ("mesh/scan", "mesh", [])
+    assert (scan.scene_id, scan.format, errors) == ("mesh/scan", "bare_mesh", [])
     assert [path.name for path in scan_files(scan)] == ["room.mtl", "room.obj", "room.png"]
 
 
@@ -206,7 +206,7 @@ def _broken(kind: str, data: bytes) -> bytes:
 def test_a_broken_file_is_an_error_that_names_it(tmp_path: Path, kind: str) -> None:
     path = written(tmp_path / "scan", furnished_box(), kind)
     path.write_bytes(_broken(kind, path.read_bytes()))
-    (scan,), _ = find_scans(path, "mesh")
+    (scan,), _ = find_scans(path, "bare_mesh")
     with pytest.raises(InputError, match=rf"^(scan/)?room\.{kind}: "):
         read_mesh(scan)
 
@@ -221,7 +221,7 @@ def _flat(vertices: Sequence[Sequence[float]]) -> Surface:
     [(_flat([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), "have no area"), (_flat([[0, 0, 0], [9e5, 0, 0], [0, 9e5, 9e5]]), "spans")],
 )
 def test_what_no_unit_explains_is_refused(tmp_path: Path, surface: Surface, said: str) -> None:
-    (scan,), _ = find_scans(written(tmp_path, surface, "ply"), "mesh")
+    (scan,), _ = find_scans(written(tmp_path, surface, "ply"), "bare_mesh")
     with pytest.raises(InputError, match=said):
         read_mesh(scan)
 
