@@ -21,13 +21,13 @@ from tasks.capture.fusion import FusionConfig, fused_surface
 from tasks.capture.instances.hidden import with_hidden_parts
 from tasks.capture.instances.merged import own_size, set_apart
 from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_solid, scanned_solid
-from tasks.capture.instances.segmentation import PROVIDER, geometry_groups
+from tasks.capture.instances.segmentation import PROVIDER, geometry_groups, guessed
 from tasks.capture.instances.split import rejoined
-from tasks.capture.instances.views import Sight, best_sights, camera_up, run_lengths, view_of
+from tasks.capture.instances.views import Sight, best_sights, run_lengths, view_of
 from tasks.capture.labels import CEILING, DOOR, FLOOR, WALL, WINDOW, Label, LabelMap, label_map
 from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
-from tasks.capture.rooms.alignment import Alignment, align
+from tasks.capture.rooms.alignment import BAND_M, Alignment, align
 from tasks.capture.rooms.leaves import whole_leaves
 from tasks.capture.rooms.lintels import lintels
 from tasks.capture.rooms.openings import wall_openings
@@ -36,6 +36,8 @@ from tasks.capture.rooms.rows import parted
 from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
 from tasks.capture.scan import Scan
+from tasks.capture.segmentation.gravity import scan_level
+from tasks.capture.segmentation.votes import VoteConfig, has_depth, spacing_of, voted_groups
 from tasks.capture.small_objects.additions import Finder, Instances, SmallObjectsConfig, Unsought, with_small_objects
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
@@ -60,6 +62,7 @@ class CaptureConfig(Config):
     max_points: Count = 20_000  # A sofa at 2 cm has fewer; walls are thinned.
     max_faces: Count = 400_000  # The finest ScanNet meshes in use have about that; a viewer still turns it smoothly.
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
+    votes: VoteConfig = dataclasses.field(default_factory=VoteConfig)  # Used when a scan has frames with depth but names no instances.
     textures: TextureConfig = dataclasses.field(default_factory=TextureConfig)
     small_objects: SmallObjectsConfig = dataclasses.field(default_factory=SmallObjectsConfig)  # a scan names few of them
 
@@ -88,12 +91,14 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     meanings = [_meaning(group, labels, format.is_modelled) for group in reading.groups or ()]
     if format.check is not None:
         format.check(scan, reading.groups or (), meanings, surface)
-    alignment = _aligned(reading, surface, meanings, is_authored=format.is_modelled)
+    alignment = _aligned(reading, surface, meanings, config, is_authored=format.is_modelled)
     notes += alignment.notes
     world = surface.transformed(alignment.pose)
     groups = reading.groups
     if groups is None:
         groups, more = geometry_groups(world)
+        if has_depth(reading.frames):
+            groups, more = voted_groups(world, groups, reading.frames, alignment.pose, guessed, config.votes)
         notes += more
         meanings = [labels[group.raw_label.partition(":")[2]] for group in groups]
     blobs = Blobs()
@@ -207,7 +212,11 @@ def _finder(group: Group, reading: Reading) -> Finder:
     return Finder("geometry" if is_guess else "file", None)
 
 
-def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_authored: bool) -> Alignment:
+_BAND_SPACINGS, _LEAST_BAND_M = 3.0, 0.01
+"""Depth noise of a fused floor in distances of its vertices, which follow depth noise; and least [m]."""
+
+
+def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], config: CaptureConfig, is_authored: bool) -> Alignment:
     masks = {}
     for nyu40 in (FLOOR, WALL):
         mask = np.zeros(len(surface.faces), dtype=bool)
@@ -215,9 +224,13 @@ def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_a
             if label.nyu40_id == nyu40:
                 mask[group.faces] = True
         masks[nyu40] = mask if mask.any() else None
-    # A scan with a mesh of its own has its z axis up already; fused frames have only their cameras to tell.
-    up = camera_up(reading.frames) if reading.surface is None else None
-    return align(surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, camera_up=up, is_authored=is_authored)
+    # A scan with a mesh of its own has its z axis up already; fused frames have only what they see to tell.
+    level = scan_level(reading.frames, config.votes.frame) if reading.surface is None else None
+    band = BAND_M if reading.surface is not None else float(np.clip(_BAND_SPACINGS * spacing_of(surface), _LEAST_BAND_M, BAND_M))
+    return align(
+        surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, up=None if level is None else level.up,
+        height=None if level is None else level.height, is_authored=is_authored, band_m=band,
+    )  # fmt: skip
 
 
 def _solids(reading: Reading, world: Surface, groups: Sequence[Group], context: Context, config: CaptureConfig) -> list[InstancePoints]:
