@@ -1,4 +1,4 @@
-"""Masks of objects in real RGB-D frames, drawn by hand: what is seen and named there, and no program had a part in.
+"""Masks of objects in real RGB-D frames, drawn by hand: point by point over enlarged pictures, and no segmentation had a part in them.
 
 `drawn/` has a JSON file for each frame. Nothing of the frames themselves is in it:
 
