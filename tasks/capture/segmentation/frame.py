@@ -23,6 +23,10 @@ Bools = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 
+_LOWEST_PERCENT = 0.2
+"""Of the pixels may lie below the lowest level: flying ones."""
+
+
 @dataclasses.dataclass(frozen=True)
 class FrameConfig(Config):
     """How a frame is segmented."""
@@ -65,6 +69,7 @@ def segmented_frame(view: DepthView, config: FrameConfig, up: Array | None = Non
     if planes.support is not None:
         region, support = _with_islands(region, support, config)
         region, support = _with_aprons(region, support, planes.support.plane, frame, config)
+        region, room = _with_ground(region, room, planes.support.plane, frame, config)
     least = config.least_px * (view.depth.shape[1] / 640) ** 2
     region = _sizable(region, least)
     return FrameSegments(region, None if planes.support is None else planes.support.plane, support, room)
@@ -107,6 +112,23 @@ def _with_aprons(
         touching |= under >= config.apron_share * np.maximum(sizes, 1)
     member = (region >= 0) & np.append(low & touching, False)[region]
     return np.where(member, -1, region), support | member
+
+
+def _with_ground(
+    region: Indices, room: Bools, plane: Plane, frame: OrganizedFrame, config: FrameConfig
+) -> tuple[Indices, Bools]:  # fmt: skip
+    """Regions that are as low as anything is, far below the support, are floor: strips of it that are no plane by themselves."""
+    member = region >= 0
+    heights = plane.heights(frame.points)
+    lowest = float(np.percentile(heights[frame.valid], _LOWEST_PERCENT)) if member.any() else 0.0
+    if lowest > -config.planes.storey_m:
+        return region, room
+    limit = lowest + config.planes.storey_m + config.planes.remove_sigmas * frame.noise
+    count = int(region.max(initial=-1)) + 1
+    low = np.bincount(region[member & (heights < limit)], minlength=count)
+    ground = low >= config.apron_share * np.maximum(np.bincount(region[member], minlength=count), 1)
+    is_ground = member & np.append(ground, False)[region]
+    return np.where(is_ground, -1, region), room | is_ground
 
 
 def under_plane(points: Array, top: Array, plane: Plane) -> Bools:
