@@ -152,7 +152,7 @@ def _with_islands(region: Indices, support: Bools, config: FrameConfig) -> tuple
     sizes = np.bincount(island.ravel(), minlength=count + 1)[1:]
     regions = int(region.max(initial=-1)) + 1
     marked = np.where(support, regions + island - 1, region)
-    outline = outlines(bridged(marked, config.vessels.bridge_px), regions + count)[regions:]
+    outline = outlines(bridged(marked, config.vessels.bridge_px)[0], regions + count)[regions:]
     total = np.maximum(outline.sum(axis=1), 1)
     best = outline[:, :regions].argmax(axis=1) if regions else np.zeros(count, dtype=np.int64)
     lies = (sizes < config.island_share * sizes.max(initial=0)) & (

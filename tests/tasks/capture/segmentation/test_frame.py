@@ -17,7 +17,8 @@ from tasks.capture.small_objects.lifting import DepthView, depth_noise
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import look_at
 
-TOP = 0.74
+TOP, FLOOR = 0.74, 0.01
+"""Heights of a table and of the floor [m]."""
 
 
 def thing(size: tuple[float, float, float], x: float, y: float, bottom: float = TOP) -> trimesh.Trimesh:
@@ -28,7 +29,7 @@ def thing(size: tuple[float, float, float], x: float, y: float, bottom: float = 
 
 def shown(things: list[trimesh.Trimesh], pitch: float, noise: float = 1.0, table: bool = True) -> tuple[DepthView, np.ndarray]:
     """A frame of a table in a room with things on it, and the thing of each pixel, -1 for none."""
-    around = [trimesh.creation.box((6, 6, 0.02)), trimesh.creation.box((0.02, 6, 3))]
+    around = [trimesh.creation.box((6, 6, 2 * FLOOR)), trimesh.creation.box((0.02, 6, 3))]
     around[1].apply_translation([-1.6, 0, 1.5])
     top = trimesh.creation.box((1.0, 1.4, 0.04))
     top.apply_translation([0, 0, TOP - 0.02])

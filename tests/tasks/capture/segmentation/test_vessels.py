@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tasks.capture.segmentation.convexity import ConvexityConfig, contacts_of, is_joint
 from tasks.capture.segmentation.frame import FrameConfig, segmented_frame
 from tasks.capture.segmentation.patches import _compiled
-from tasks.capture.segmentation.vessels import bridged, bulge, outlines
+from tasks.capture.segmentation.vessels import bridged, bulge, outlines, rises
 from tests.tasks.capture.segmentation.test_frame import TOP, best, shown, thing
 
 CONVEXITY = ConvexityConfig()
@@ -59,9 +59,16 @@ def test_outlines_count_neighbors_both_ways() -> None:
     assert outlines(region, 2).tolist() == [[0, 1, 2], [1, 0, 1]]
 
 
+def test_rises_say_which_of_two_is_higher() -> None:
+    region, heights = np.array([[0, 0, 1], [0, -1, 1]]), np.array([[0.0, 0.0, 0.5], [0.0, 9.0, 0.25]])
+    assert rises(region, heights, 2).tolist() == [[0.0, 0.5], [-0.5, 0.0]]
+
+
 def test_holes_are_bridged_and_no_farther() -> None:
     label = np.array([[0, -1, -1, -1, -1, -1, -1, 1]])
-    assert bridged(label, 2).tolist() == [[0, 0, 0, -1, -1, 1, 1, 1]]
+    found, place = bridged(label, 2)
+    assert found.tolist() == [[0, 0, 0, -1, -1, 1, 1, 1]]
+    assert place[1, 0, [1, 2, 5, 6]].tolist() == [0, 0, 7, 7]
 
 
 def test_a_ball_bulges_and_a_bowl_does_not() -> None:
