@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 
-def found(path: Path) -> dict[str, Any]:
+def former(path: Path) -> dict[str, Any]:
     """Surface, instances and alignment of a scan whose files name no instances."""
     capture = "tasks.capture"
     scenes, formats = import_module(f"{capture}.scenes"), import_module(f"{capture}.formats")
@@ -49,9 +49,9 @@ def main(request: Path, result: Path) -> None:
     """Read the request, leave a file for each scan."""
     scans = [Path(path) for path in json.loads(request.read_text())]
     if scans:
-        found(scans[0])  # compiles
+        former(scans[0])  # compiles
     for number, path in enumerate(scans):
-        np.savez(result / f"{number}.npz", **found(path))
+        np.savez(result / f"{number}.npz", **former(path))
 
 
 if __name__ == "__main__":

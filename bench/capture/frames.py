@@ -100,13 +100,13 @@ def truth_of(frame: TabletopFrame) -> FrameTruth:
 def own_figures(material: str, frames: Sequence[KnownFrame]) -> FrameFigures:
     """What this code finds in each frame by itself, its pose unknown."""
     segmented_frame(frames[0].view, FrameConfig())  # compiles
-    found, seconds = [], []
+    segments, seconds = [], []
     for frame in frames:
         clock = time.process_time()
-        found.append(segmented_frame(frame.view, FrameConfig()))
+        segments.append(segmented_frame(frame.view, FrameConfig()))
         seconds.append(time.process_time() - clock)
-    poses = [np.eye(4) if each.support is None else pose_over(each.support) for each in found]
-    return figures_of(material, "now", frames, [each.region for each in found], poses, seconds)
+    poses = [np.eye(4) if each.support is None else pose_over(each.support) for each in segments]
+    return figures_of(material, "now", frames, [each.region for each in segments], poses, seconds)
 
 
 def pose_over(plane: Plane) -> Array:
@@ -122,9 +122,9 @@ def former_figures(material: str, frames: Sequence[KnownFrame]) -> FrameFigures:
     with tempfile.TemporaryDirectory() as name:
         workspace = Path(name)
         scans = [write_scan(workspace / "scans" / f"frame_{number:03d}", [frame.view]) for number, frame in enumerate(frames)]
-        found = former_scans(scans, workspace)
-    regions = [former_regions(frame.view, scan) for frame, scan in zip(frames, found, strict=True)]
-    return figures_of(material, "before", frames, regions, [scan.pose for scan in found], [scan.seconds for scan in found])
+        segments = former_scans(scans, workspace)
+    regions = [former_regions(frame.view, scan) for frame, scan in zip(frames, segments, strict=True)]
+    return figures_of(material, "before", frames, regions, [scan.pose for scan in segments], [scan.seconds for scan in segments])
 
 
 def figures_of(
@@ -132,7 +132,7 @@ def figures_of(
     seconds: Sequence[float],
 ) -> FrameFigures:  # fmt: skip
     """Figures of all frames together; the time is the median of a processor's. poses: Camera to what is taken for the world, 4x4 [m]."""
-    scores = [frame_score(frame.truth, found, frame.view.depth > 0) for frame, found in zip(frames, regions, strict=True)]
+    scores = [frame_score(frame.truth, segments, frame.view.depth > 0) for frame, segments in zip(frames, regions, strict=True)]
     whole, median = sum(scores, FrameScore()), float(np.median(seconds))
     planes = [plane_error(frame.generated, pose) for frame, pose in zip(frames, poses, strict=True) if frame.generated is not None]
     if not planes:

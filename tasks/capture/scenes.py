@@ -27,7 +27,7 @@ from tasks.capture.instances.views import Sight, best_sights, run_lengths, view_
 from tasks.capture.labels import CEILING, DOOR, FLOOR, WALL, WINDOW, Label, LabelMap, label_map
 from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
-from tasks.capture.rooms.alignment import BAND_M, Alignment, align
+from tasks.capture.rooms.alignment import Alignment, align
 from tasks.capture.rooms.leaves import whole_leaves
 from tasks.capture.rooms.lintels import lintels
 from tasks.capture.rooms.openings import wall_openings
@@ -37,7 +37,7 @@ from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
 from tasks.capture.scan import Scan
 from tasks.capture.segmentation.gravity import scan_level
-from tasks.capture.segmentation.votes import VoteConfig, has_depth, spacing_of, voted_groups
+from tasks.capture.segmentation.votes import VoteConfig, spacing_of, voted_groups
 from tasks.capture.small_objects.additions import Finder, Instances, SmallObjectsConfig, Unsought, with_small_objects
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
@@ -96,9 +96,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     world = surface.transformed(alignment.pose)
     groups = reading.groups
     if groups is None:
-        groups, more = geometry_groups(world)
-        if has_depth(reading.frames):
-            groups, more = voted_groups(world, groups, reading.frames, alignment.pose, guessed, config.votes)
+        groups, more = voted_groups(world, geometry_groups(world), reading.frames, alignment.pose, guessed, config.votes)
         notes += more
         meanings = [labels[group.raw_label.partition(":")[2]] for group in groups]
     blobs = Blobs()
@@ -212,10 +210,6 @@ def _finder(group: Group, reading: Reading) -> Finder:
     return Finder("geometry" if is_guess else "file", None)
 
 
-_BAND_SPACINGS, _LEAST_BAND_M = 3.0, 0.01
-"""Depth noise of a fused floor in distances of its vertices, which follow depth noise; and least [m]."""
-
-
 def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], config: CaptureConfig, is_authored: bool) -> Alignment:
     masks = {}
     for nyu40 in (FLOOR, WALL):
@@ -225,12 +219,8 @@ def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], conf
                 mask[group.faces] = True
         masks[nyu40] = mask if mask.any() else None
     # A scan with a mesh of its own has its z axis up already; fused frames have only what they see to tell.
-    level = scan_level(reading.frames, config.votes.frame) if reading.surface is None else None
-    band = BAND_M if reading.surface is not None else float(np.clip(_BAND_SPACINGS * spacing_of(surface), _LEAST_BAND_M, BAND_M))
-    return align(
-        surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, up=None if level is None else level.up,
-        height=None if level is None else level.height, is_authored=is_authored, band_m=band,
-    )  # fmt: skip
+    level = scan_level(reading.frames, spacing_of(surface), config.votes.frame) if reading.surface is None else None
+    return align(surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, level=level, is_authored=is_authored)
 
 
 def _solids(reading: Reading, world: Surface, groups: Sequence[Group], context: Context, config: CaptureConfig) -> list[InstancePoints]:

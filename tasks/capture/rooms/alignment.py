@@ -48,6 +48,16 @@ class Alignment:
 
 
 @dataclasses.dataclass(frozen=True)
+class SeenLevel:
+    """What frames say of a scan that was fused from them. up: In the scan frame, unit, shape (3,). height: Of the lowest level that they
+    see, along it [m]; None where they see none. band_m: Depth noise of its surface [m]."""
+
+    up: Array
+    height: float | None
+    band_m: float = BAND_M
+
+
+@dataclasses.dataclass(frozen=True)
 class Facets:
     """Faces as planes, in the frame of their surface: centers [m] (m, 3), unit normals (m, 3), areas [m2] (m,)."""
 
@@ -80,18 +90,15 @@ def align(
     floor_faces: NDArray[np.bool_] | None = None,
     wall_faces: NDArray[np.bool_] | None = None,
     stated: Array | None = None,
-    up: Array | None = None,
-    height: float | None = None,
+    level: SeenLevel | None = None,
     is_authored: bool = False,
-    band_m: float = BAND_M,
 ) -> Alignment:
     """The alignment of a scan.
 
     floor_faces, wall_faces: Faces that the scan itself calls floor and wall, shape (m,), where it names them.
     stated: The scan's own axis alignment, 4x4; only the floor's height is corrected then.
-    up, height: Up in the scan frame as its frames have it, shape (3,), and how high along it they see a floor [m], where it has any.
+    level: What its frames say of up and floor, where it has nothing else to tell.
     is_authored: The scene was modelled, not scanned: its up axis is right, and it stays as it is when it is aligned already.
-    band_m: Depth noise of its floor [m].
     """
     # Every k-th face tells as much as all of them.
     every = max(1, len(surface.faces) // _ENOUGH_FACES)
@@ -110,26 +117,28 @@ def align(
     notes = []
     rotation = np.eye(3)
     if not is_authored:
-        found, notes = _up(faces, floor, up, band_m)
-        rotation = rotation_to_z(found)
+        up, notes = _up(faces, floor, level)
+        rotation = rotation_to_z(up)
     # Furniture says nothing about how a modeller meant the axes: only walls may turn a modelled scene.
     yaw = 0.0 if is_authored and wall_faces is None else dominant_yaw(walls.turned(rotation))
     if yaw is None:
         notes.append("no walls or other vertical faces seen: yaw left as scanned")
         yaw = 0.0
-    level = floor_height(faces.turned(rotation), floor.turned(rotation) if floor is not None else None, band_m)
+    band = BAND_M if level is None else level.band_m
+    height = floor_height(faces.turned(rotation), floor.turned(rotation) if floor is not None else None, band)
     tilt = _tilt(floor or faces, rotation.T[:, 2])
     points = surface.vertices @ (yaw_pose(-yaw)[:3, :3] @ rotation).T
-    level = height if level is None else level
-    if level is None:
+    if height is None and level is not None:
+        height = level.height
+    if height is None:
         notes.append("no floor seen: the lowest points are taken for its height")
-        level = float(np.percentile(points[:, 2], 0.5))
-    if is_authored and abs(yaw) < _IDENTITY_YAW and abs(level) < _IDENTITY_SHIFT_M:
+        height = float(np.percentile(points[:, 2], 0.5))
+    if is_authored and abs(yaw) < _IDENTITY_YAW and abs(height) < _IDENTITY_SHIFT_M:
         return Alignment(np.eye(4), "identity", tilt, tuple(notes))
     low, high = np.percentile(points[:, :2], [1, 99], axis=0)
     pose = np.eye(4)
     pose[:3, :3] = yaw_pose(-yaw)[:3, :3] @ rotation
-    pose[:3, 3] = [*(-(low + high) / 2), -level]
+    pose[:3, 3] = [*(-(low + high) / 2), -height]
     return Alignment(matrix(flat(pose)), "estimated", tilt, tuple(notes))
 
 
@@ -152,11 +161,12 @@ def _as_stated(faces: Facets, floor: Facets | None, stated: Array) -> Alignment:
     return Alignment(matrix(flat(translation([0, 0, shift]) @ stated)), "file", tilt, tuple(notes))
 
 
-def _up(faces: Facets, floor: Facets | None, seen: Array | None, band: float) -> tuple[Array, list[str]]:
+def _up(faces: Facets, floor: Facets | None, seen: SeenLevel | None) -> tuple[Array, list[str]]:
     """Up in the scan frame: from the first of the plausible guesses that a floor confirms."""
     guesses = [np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([0.0, -1.0, 0.0])]
+    band = BAND_M if seen is None else seen.band_m
     if seen is not None:
-        guesses = [seen / np.linalg.norm(seen)]
+        guesses = [seen.up / np.linalg.norm(seen.up)]
     if floor is not None and floor.areas.sum() > _MIN_FLOOR_M2:
         normal = fitted_normal(floor, (floor.normals * floor.areas[:, None]).sum(axis=0))
         if normal is not None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tasks.capture.segmentation.convexity import ConvexityConfig, contacts_of, joined_patches
 from tasks.capture.segmentation.organized import OrganizedFrame, organized_frame
-from tasks.capture.segmentation.patches import PatchConfig, patches_of
+from tasks.capture.segmentation.patches import SurfacePatchConfig, patches_of
 from tasks.capture.segmentation.planes import FramePlanes, Plane, PlaneConfig, frame_planes, on_plane
 from tasks.capture.segmentation.vessels import VesselConfig, bridged, outlines, without_parts
 from tasks.capture.small_objects.lifting import DepthView
@@ -40,7 +40,7 @@ class FrameConfig(Config):
     island_share: Share = 0.5  # of the largest part of a support that is seen: a smaller one may be the bottom of a vessel ...
     island_outline: Share = 0.6  # ... whose rim is so much of its outline
     planes: PlaneConfig = dataclasses.field(default_factory=PlaneConfig)  # see there
-    patches: PatchConfig = dataclasses.field(default_factory=PatchConfig)  # see there
+    patches: SurfacePatchConfig = dataclasses.field(default_factory=SurfacePatchConfig)  # see there
     convexity: ConvexityConfig = dataclasses.field(default_factory=ConvexityConfig)  # see there
     vessels: VesselConfig = dataclasses.field(default_factory=VesselConfig)  # see there
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from tasks.capture.instances.views import camera_up, chosen_frames
 from tasks.capture.reading import FrameSource
+from tasks.capture.rooms.alignment import BAND_M, SeenLevel
 from tasks.capture.segmentation.frame import FrameConfig
 from tasks.capture.segmentation.organized import organized_frame
 from tasks.capture.segmentation.planes import FramePlanes, frame_planes
@@ -26,24 +26,22 @@ _AGREE_DEGREES = 6.0
 _SAME_LEVEL_M, _LEAST_M2 = 0.05, 0.15
 """Between frames' views of one level [m]; and least of it that is seen, over all frames [m2]: less is the lid of a box."""
 
+_BAND_SPACINGS, _LEAST_BAND_M = 3.0, 0.01
+"""Depth noise of a fused floor in distances of its vertices; and least [m]."""
+
 _LEAST_SHARE = 0.25
 """Of the pixels that a direction needs behind it, before cameras are believed instead."""
 
 
-@dataclasses.dataclass(frozen=True)
-class ScanLevel:
-    """up: In the scan frame, unit, shape (3,). height: Of the lowest level that frames see, along it [m]; None where they see none."""
-
-    up: Array
-    height: float | None
-
-
-def scan_level(frames: Sequence[FrameSource], config: FrameConfig) -> ScanLevel | None:
+def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfig) -> SeenLevel | None:
     """Up by the normal of the supports of most pixels of some frames; else that of the cameras on average, None where they disagree.
+
+    spacing: Of the vertices of the surface that was fused from them [m], which follows depth noise.
 
     Raises:
         InputError: images of a frame cannot be read.
     """
+    band = float(np.clip(_BAND_SPACINGS * spacing, _LEAST_BAND_M, BAND_M))
     views = [depth_view(frames[index], np.eye(4)) for index in chosen_frames(frames, _MOST_FRAMES)]
     seen = [(view, _planes(view, config)) for view in views if view is not None]
     supports = [(view.pose[:3, :3] @ planes.support.plane.normal, planes.support.pixels.sum()) for view, planes in seen if planes.support]
@@ -54,9 +52,9 @@ def scan_level(frames: Sequence[FrameSource], config: FrameConfig) -> ScanLevel 
         if (agrees[best] * counts).sum() >= _LEAST_SHARE * counts.sum():
             mean = (directions * (agrees[best] * counts)[:, None]).sum(axis=0)
             up = mean / np.linalg.norm(mean)
-            return ScanLevel(up, _lowest(seen, up))
+            return SeenLevel(up, _lowest(seen, up), band)
     up = camera_up(frames)
-    return None if up is None else ScanLevel(up, None)
+    return None if up is None else SeenLevel(up, None, band)
 
 
 def _planes(view: DepthView, config: FrameConfig) -> FramePlanes:

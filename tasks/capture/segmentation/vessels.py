@@ -89,10 +89,10 @@ def _with_insides(
     these are of [m], shape (h, w).
     """
     count = int(region.max(initial=-1)) + 1
-    others = int(seen.max(initial=-1)) + 1
-    table = outlines(seen, others)
+    labels = int(seen.max(initial=-1)) + 1
+    table = outlines(seen, labels)
     table, total = table[:count, :count], table[:count].sum(axis=1)
-    rise = rises(seen, nearest, others)[:count, :count]
+    rise = rises(seen, nearest, labels)[:count, :count]
     order = np.argsort(region, axis=None, kind="stable")
     members = np.split(order, np.searchsorted(region.ravel()[order], np.arange(count + 1)))[1:-1]
     owner = np.arange(count)
@@ -121,17 +121,17 @@ def _whole(small: int, table: Indices, rise: Array, total: Indices, shapes: list
     """The region that a smaller one is the inside or the outside of; None where there is none."""
     if not total[small] or not table[small].any():
         return None
-    one = shapes[small]
+    shape = shapes[small]
     for whole in np.lexsort((np.arange(len(total)), -table[small]))[:3]:
         other = shapes[whole]
         share = table[small, whole] / total[small]
         if whole == small or share < config.rim_share:
             continue
-        slack = config.above_sigmas * max(one.noise, other.noise) + config.above_m
+        slack = config.above_sigmas * max(shape.noise, other.noise) + config.above_m
         # what lies in a vessel stands out of it all around; its bottom lies below what is around it
-        is_inside = one.bulge <= config.bulge and one.top <= other.top + slack and rise[small, whole] > 0
-        is_inside &= one.pixels <= config.times * other.pixels
-        has_rim = min(one.bulge, other.bulge) <= -config.hollow and abs(one.top - other.top) <= slack
+        is_inside = shape.bulge <= config.bulge and shape.top <= other.top + slack and rise[small, whole] > 0
+        is_inside &= shape.pixels <= config.times * other.pixels
+        has_rim = min(shape.bulge, other.bulge) <= -config.hollow and abs(shape.top - other.top) <= slack
         if has_rim or (is_inside and share >= config.outline_share):
             return int(whole)
     return None

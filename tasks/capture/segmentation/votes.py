@@ -80,17 +80,21 @@ def has_depth(frames: Sequence[FrameSource]) -> bool:
 
 
 def voted_groups(
-    world: Surface, groups: Sequence[Group], frames: Sequence[FrameSource], alignment: Array, name: Callable[[Array, Array, Array], str],
-    config: VoteConfig,
+    world: Surface, by_surface: tuple[tuple[Group, ...], list[str]], frames: Sequence[FrameSource], alignment: Array,
+    name: Callable[[Array, Array, Array], str], config: VoteConfig,
 ) -> tuple[tuple[Group, ...], list[str]]:  # fmt: skip
-    """Instances of an aligned scan, and a note: the room as `groups` have it, and what frames see of the rest.
+    """Instances of an aligned scan, and notes: the room as its surface has it, and what frames see of the rest.
 
-    groups: As the geometry of the surface alone has them; of these only floor, walls and ceiling are kept. alignment: Scan frame to world
+    by_surface: What the geometry of the surface alone shows; of that only floor, walls and ceiling are kept, and all of it where no frame
+    has depth and a pose. alignment: Scan frame to world
     frame, 4x4 [m]. name: Category of points, normals and areas of a surface, shapes (n, 3), (n, 3) and (n,).
 
     Raises:
         InputError: images of a frame cannot be read.
     """
+    groups, notes = by_surface
+    if not has_depth(frames):
+        return groups, notes
     owner = np.full(len(world.vertices), -1, dtype=np.int64)
     named: list[tuple[str, Indices]] = []
     room = [(group.raw_label.partition(":")[2], group) for group in groups if group.raw_label.partition(":")[2] in ROOM]
@@ -153,19 +157,19 @@ def voted_instances(world: Surface, is_room: Bools, views: Sequence[DepthView], 
     of_room = np.bincount(owner[(owner >= 0) & is_room], minlength=len(clouds))
     free = np.where(is_room, -1, owner)
     kept = [i for i in range(len(clouds)) if of_room[i] < config.room_share * max(int(sizes[i]), 1)]
-    found = [(np.flatnonzero(free == index), consensus.instances[index].label == SUPPORT) for index in kept]
-    return sorted((each for each in found if len(each[0]) >= config.least_vertices), key=lambda each: (-len(each[0]), int(each[0][0])))
+    instances = [(np.flatnonzero(free == index), consensus.instances[index].label == SUPPORT) for index in kept]
+    return sorted((each for each in instances if len(each[0]) >= config.least_vertices), key=lambda each: (-len(each[0]), int(each[0][0])))
 
 
 def region_masks(view: DepthView, config: FrameConfig, lifting: LiftingConfig) -> LiftedFrame:
     """Regions of a frame in the world, and what carries them: a table is a thing, too."""
     up = view.pose[2, :3]
-    found = segmented_frame(view, config, up)
-    masks = [found.region == number for number in range(int(found.region.max(initial=-1)) + 1)]
-    if found.on_support.any():
-        masks.append(found.on_support)
+    segments = segmented_frame(view, config, up)
+    masks = [segments.region == number for number in range(int(segments.region.max(initial=-1)) + 1)]
+    if segments.on_support.any():
+        masks.append(segments.on_support)
     stack = np.array(masks, dtype=bool).reshape(len(masks), *view.depth.shape)
-    labels = ("",) * (len(masks) - int(found.on_support.any())) + (SUPPORT,) * int(found.on_support.any())
+    labels = ("",) * (len(masks) - int(segments.on_support.any())) + (SUPPORT,) * int(segments.on_support.any())
     return lift(view, FrameMasks(stack, labels, np.ones(len(masks))), lifting)
 
 

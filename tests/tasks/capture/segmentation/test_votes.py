@@ -39,7 +39,7 @@ def captured(folder: Path, views: list[DepthView]) -> Outcome:
 def test_up_is_over_the_table_however_steep_the_camera_looks(pitch: float, tmp_path: Path) -> None:
     view, _ = shown(SHOWN, pitch)
     frames = reading_of(tmp_path / "table", [view]).frames
-    level, up = scan_level(frames, FrameConfig()), view.pose[2, :3]
+    level, up = scan_level(frames, 0.01, FrameConfig()), view.pose[2, :3]
     assert level is not None
     assert np.degrees(np.arccos(min(1.0, float(level.up @ up)))) < 0.3
     by_cameras = camera_up(frames)
@@ -50,11 +50,11 @@ def test_up_is_over_the_table_however_steep_the_camera_looks(pitch: float, tmp_p
 def test_frames_without_depth_or_plane_leave_it_to_cameras(tmp_path: Path) -> None:
     view, _ = shown(SHOWN, 0.8)
     empty = dataclasses.replace(view, depth=np.zeros_like(view.depth))
-    level = scan_level(reading_of(tmp_path / "table", [empty]).frames, FrameConfig())
+    level = scan_level(reading_of(tmp_path / "table", [empty]).frames, 0.01, FrameConfig())
     assert level is not None
     assert level.height is None
     assert level.up == pytest.approx([0, -1, 0])
-    assert scan_level((), FrameConfig()) is None
+    assert scan_level((), 0.01, FrameConfig()) is None
 
 
 @pytest.mark.parametrize(("away", "side"), [(0.3, 0.005), (1.0, 0.0081), (3.0, 0.02)])
