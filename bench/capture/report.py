@@ -20,17 +20,18 @@ PARTS = (FRAMES, MESHES, POSES)
 
 @dataclasses.dataclass(frozen=True)
 class CaptureBench:
-    """What is measured. frames: Generated ones of tables. rooms: Generated ones, as meshes. realdata: Folder with scans by others, None for
-    none. walks: Through rooms, each of `walk_frames` frames. open3d: An interpreter that has it, '' for this one. parts: Of `PARTS`."""
+    """What is measured. frames: Generated ones of tables. rooms: Generated ones, as meshes. realdata: Folder with the real frames that
+    drawings are of, and with scans by others; None for none. walks: Through rooms, each of `walk_frames` frames. open3d: An interpreter
+    that has it, '' for this one. parts: Of `PARTS`."""
 
     frames: int = 30
     walks: int = 3
     walk_frames: int = 300
     open3d: str = ""
     seed: int = 0
+    realdata: Path | None = None
     parts: tuple[str, ...] = PARTS
     rooms: int = 10
-    realdata: Path | None = None
 
     @property
     def advances(self) -> int:
@@ -39,10 +40,14 @@ class CaptureBench:
 
 
 def run_capture_bench(config: CaptureBench, advance: Callable[[str], None]) -> dict[str, Any]:
-    """The report. `advance` is told each part of it that is done."""
+    """The report. `advance` is told each part of it that is done.
+
+    Raises:
+        InputError: a real frame that a drawing is of is not where it should be.
+    """
     parts: dict[str, Any] = {}
     if FRAMES in config.parts:
-        parts[FRAMES] = frames_report(config.frames, config.seed)
+        parts[FRAMES] = frames_report(config.frames, config.seed, config.realdata)
         advance(FRAMES)
     if MESHES in config.parts:
         parts[MESHES] = meshes_report(config.rooms, config.seed, config.realdata)

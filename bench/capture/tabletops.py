@@ -99,11 +99,11 @@ def tabletop_frame(number: int, of: int, seed: int) -> TabletopFrame:
     rng = np.random.default_rng([seed, number, 22])
     size = typical_size("table", rng)
     table = tuple(generate("table", size, rng).parts)
-    things = _things(int(rng.integers(COUNTS[0], COUNTS[1] + 1)), size[2], size, rng)
+    objects = _things(int(rng.integers(COUNTS[0], COUNTS[1] + 1)), size[2], size, rng)
     parts, owner = [*table, *_surroundings(size, rng)], []
-    for index, thing in enumerate(things):
-        parts += thing.parts
-        owner += [index] * len(thing.parts)
+    for index, item in enumerate(objects):
+        parts += item.parts
+        owner += [index] * len(item.parts)
     owner = [SUPPORT] * len(table) + [REST] * (len(parts) - len(table) - len(owner)) + owner
     low, high = (math.radians(value) for value in PITCHES_DEGREES)
     pitch = low + (high - low) * (number + float(rng.uniform())) / of
@@ -121,30 +121,30 @@ def tabletop_frame(number: int, of: int, seed: int) -> TabletopFrame:
     is_top = (mine == SUPPORT) & (np.abs(np.where(hit, points[..., 2], 0.0) - size[2]) < 0.001)
     mine = np.where((mine == SUPPORT) & ~is_top, REST, mine)
     view = DepthView(f"{number:06d}", (shot.depth / 1000.0).astype(np.float32), shot.color, (lens.fx, lens.fy, lens.cx, lens.cy), camera)
-    words, kinds = tuple(thing.word for thing in things), tuple(thing.kind for thing in things)
+    words, kinds = tuple(item.word for item in objects), tuple(item.kind for item in objects)
     return TabletopFrame(view, mine, words, kinds, size[2], pitch)
 
 
 def _things(wanted: int, top: float, size: tuple[float, float, float], rng: np.random.Generator) -> list[_Thing]:
     """Objects on the table, in its frame."""
-    things: list[_Thing] = []
+    objects: list[_Thing] = []
     for _ in range(20 * wanted):
-        if len(things) == wanted:
+        if len(objects) == wanted:
             break
         kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
-        thing = _next(kind, things, top, size, rng)
-        if thing is not None:
-            things.append(thing)
-    return things
+        item = _next(kind, objects, top, size, rng)
+        if item is not None:
+            objects.append(item)
+    return objects
 
 
 def _next(
-    kind: str, things: list[_Thing], top: float, size: tuple[float, float, float], rng: np.random.Generator
+    kind: str, objects: list[_Thing], top: float, size: tuple[float, float, float], rng: np.random.Generator
 ) -> _Thing | None:  # fmt: skip
     """Another thing, where there is room for it; what is to carry one comes first."""
-    carried = {thing.base for thing in things}
+    carried = {item.base for item in objects}
     carriers = {"stacked": FLAT, "nested": VESSELS}.get(kind)
-    bases = [i for i, thing in enumerate(things) if carriers and thing.word in carriers and i not in carried]
+    bases = [i for i, item in enumerate(objects) if carriers and item.word in carriers and i not in carried]
     words = {"nested": CONTENTS, "stacked": (*FLAT, *CONTENTS)}.get(kind, (*FLAT, *VESSELS, *CONTENTS, *OTHERS))
     base = int(rng.choice(bases)) if bases else -1
     if carriers and not bases:
@@ -152,21 +152,21 @@ def _next(
     word = str(rng.choice(words))
     extents = np.array(SMALL[word].extents) * rng.uniform(0.85, 1.15, 3)
     if kind == "nested":
-        extents *= min(1.0, 0.5 * min(things[base].size[:2]) / max(extents[:2]))
+        extents *= min(1.0, 0.5 * min(objects[base].size[:2]) / max(extents[:2]))
     made = (float(extents[0]), float(extents[1]), float(extents[2]))
     parts = generate(word, made, rng).parts
     for _ in range(_TRIES):
-        yaw, x, y = _spot(kind, things, base, made, rng)
+        yaw, x, y = _spot(kind, objects, base, made, rng)
         outline = _outline(made, x, y, yaw)
-        if not _has_room(kind, outline, things, base, size):
+        if not _has_room(kind, outline, objects, base, size):
             continue
         placed = []
         for part in parts:
             moved = part.copy()
             moved.apply_transform(yaw_pose(yaw, [x, y, 0.0]))
             placed.append(moved)
-        rest = top if base < 0 else _rest(placed, things[base].parts, top)
-        if rest is None or (kind == "nested" and rest > top + things[base].size[2] - 0.004):
+        rest = top if base < 0 else _rest(placed, objects[base].parts, top)
+        if rest is None or (kind == "nested" and rest > top + objects[base].size[2] - 0.004):
             return None
         for part in placed:
             part.apply_translation([0.0, 0.0, rest])
@@ -175,14 +175,14 @@ def _next(
 
 
 def _spot(
-    kind: str, things: list[_Thing], base: int, size: tuple[float, float, float], rng: np.random.Generator
+    kind: str, objects: list[_Thing], base: int, size: tuple[float, float, float], rng: np.random.Generator
 ) -> tuple[float, float, float]:  # fmt: skip
     """Yaw and place in plan, on the table where base is -1."""
     if base >= 0:
         off = 0.0 if kind == "nested" else 0.1
-        x, y = (m + off * float(rng.uniform(-1, 1)) * min(things[base].size[:2]) for m in things[base].middle)
-        return things[base].yaw + float(rng.uniform(-0.4, 0.4)), x, y
-    standing = [thing for thing in things if thing.base < 0]
+        x, y = (m + off * float(rng.uniform(-1, 1)) * min(objects[base].size[:2]) for m in objects[base].middle)
+        return objects[base].yaw + float(rng.uniform(-0.4, 0.4)), x, y
+    standing = [item for item in objects if item.base < 0]
     if kind == "touching" and standing:
         anchor = standing[int(rng.integers(len(standing)))]
         axis, sign = int(rng.integers(2)), int(rng.choice((-1, 1)))
@@ -203,16 +203,16 @@ def _outline(size: tuple[float, float, float], x: float, y: float, yaw: float) -
     return Polygon(corners @ np.array([[c, s], [-s, c]]) + [x, y])
 
 
-def _has_room(kind: str, outline: object, things: list[_Thing], base: int, size: tuple[float, float, float]) -> bool:
+def _has_room(kind: str, outline: object, objects: list[_Thing], base: int, size: tuple[float, float, float]) -> bool:
     """Whether a plan lies on the table, or within what carries it, clear of the others there."""
     from shapely.geometry import box
 
     if base >= 0:
-        return bool(things[base].outline.buffer(0.005).contains(outline))  # type: ignore[attr-defined]
+        return bool(objects[base].outline.buffer(0.005).contains(outline))  # type: ignore[attr-defined]
     if not box(-0.5 * size[0], -0.5 * size[1], 0.5 * size[0], 0.5 * size[1]).contains(outline):
         return False
     clear = 1e-4 if kind == "touching" else CLEAR_M
-    return all(outline.distance(thing.outline) >= clear for thing in things if thing.base < 0)  # type: ignore[attr-defined]
+    return all(outline.distance(item.outline) >= clear for item in objects if item.base < 0)  # type: ignore[attr-defined]
 
 
 def _rest(parts: list[trimesh.Trimesh], below: tuple[trimesh.Trimesh, ...], top: float) -> float | None:

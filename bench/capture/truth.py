@@ -67,11 +67,11 @@ class FrameScore:
         return 2 * self.matched_well / max(self.objects + self.regions, 1)
 
 
-def frame_score(truth: FrameTruth, found: NDArray[np.int64], has_depth: NDArray[np.bool_]) -> FrameScore:
-    """Regions of a frame against its truth. found: Region of each pixel from 0, -1 for none, shape (h, w)."""
+def frame_score(truth: FrameTruth, labels: NDArray[np.int64], has_depth: NDArray[np.bool_]) -> FrameScore:
+    """Regions of a frame against its truth. labels: Region of each pixel from 0, -1 for none, shape (h, w)."""
     count = int(truth.owner.max(initial=-1)) + 1
-    regions = int(found.max(initial=-1)) + 1
-    owner, region = truth.owner[has_depth], found[has_depth]
+    regions = int(labels.max(initial=-1)) + 1
+    owner, region = truth.owner[has_depth], labels[has_depth]
     table = np.zeros((count + 2, regions + 1), dtype=np.int64)
     np.add.at(table, (np.where(owner >= 0, owner, count - 1 - owner), np.where(region >= 0, region, regions)), 1)
     known = np.delete(table, count + 1, axis=0)

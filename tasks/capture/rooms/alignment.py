@@ -13,8 +13,8 @@ from tasks.geometry.triangles import face_areas
 
 Array = NDArray[np.float64]
 
-_FLOOR_BAND_M = 0.04
-"""Depth noise of a fused floor: vertices this near to the plane count as floor."""
+BAND_M = 0.04
+"""Depth noise of a floor that was fused in a room: vertices this near to the plane count as floor. Of nearer things less is enough."""
 
 _MIN_FLOOR_M2 = 0.25
 """Less than the free floor between a desk and a wall cannot be told from a low shelf."""
@@ -45,6 +45,16 @@ class Alignment:
     source: str
     floor_tilt: float
     notes: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class SeenLevel:
+    """What frames say of a scan that was fused from them. up: In the scan frame, unit, shape (3,). height: Of the lowest level that they
+    see, along it [m]; None where they see none. band_m: Depth noise of its surface [m]."""
+
+    up: Array
+    height: float | None
+    band_m: float = BAND_M
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,14 +90,14 @@ def align(
     floor_faces: NDArray[np.bool_] | None = None,
     wall_faces: NDArray[np.bool_] | None = None,
     stated: Array | None = None,
-    camera_up: Array | None = None,
+    level: SeenLevel | None = None,
     is_authored: bool = False,
 ) -> Alignment:
     """The alignment of a scan.
 
     floor_faces, wall_faces: Faces that the scan itself calls floor and wall, shape (m,), where it names them.
     stated: The scan's own axis alignment, 4x4; only the floor's height is corrected then.
-    camera_up: Mean up direction of its cameras in the scan frame, shape (3,).
+    level: What its frames say of up and floor, where it has nothing else to tell.
     is_authored: The scene was modelled, not scanned: its up axis is right, and it stays as it is when it is aligned already.
     """
     # Every k-th face tells as much as all of them.
@@ -107,16 +117,19 @@ def align(
     notes = []
     rotation = np.eye(3)
     if not is_authored:
-        up, notes = _up(faces, floor, camera_up)
+        up, notes = _up(faces, floor, level)
         rotation = rotation_to_z(up)
     # Furniture says nothing about how a modeller meant the axes: only walls may turn a modelled scene.
     yaw = 0.0 if is_authored and wall_faces is None else dominant_yaw(walls.turned(rotation))
     if yaw is None:
         notes.append("no walls or other vertical faces seen: yaw left as scanned")
         yaw = 0.0
-    height = floor_height(faces.turned(rotation), floor.turned(rotation) if floor is not None else None)
+    band = BAND_M if level is None else level.band_m
+    height = floor_height(faces.turned(rotation), floor.turned(rotation) if floor is not None else None, band)
     tilt = _tilt(floor or faces, rotation.T[:, 2])
     points = surface.vertices @ (yaw_pose(-yaw)[:3, :3] @ rotation).T
+    if height is None and level is not None:
+        height = level.height
     if height is None:
         notes.append("no floor seen: the lowest points are taken for its height")
         height = float(np.percentile(points[:, 2], 0.5))
@@ -148,11 +161,12 @@ def _as_stated(faces: Facets, floor: Facets | None, stated: Array) -> Alignment:
     return Alignment(matrix(flat(translation([0, 0, shift]) @ stated)), "file", tilt, tuple(notes))
 
 
-def _up(faces: Facets, floor: Facets | None, camera_up: Array | None) -> tuple[Array, list[str]]:
+def _up(faces: Facets, floor: Facets | None, seen: SeenLevel | None) -> tuple[Array, list[str]]:
     """Up in the scan frame: from the first of the plausible guesses that a floor confirms."""
     guesses = [np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([0.0, -1.0, 0.0])]
-    if camera_up is not None:
-        guesses.insert(0, camera_up / np.linalg.norm(camera_up))
+    band = BAND_M if seen is None else seen.band_m
+    if seen is not None:
+        guesses = [seen.up / np.linalg.norm(seen.up)]
     if floor is not None and floor.areas.sum() > _MIN_FLOOR_M2:
         normal = fitted_normal(floor, (floor.normals * floor.areas[:, None]).sum(axis=0))
         if normal is not None:
@@ -161,11 +175,11 @@ def _up(faces: Facets, floor: Facets | None, camera_up: Array | None) -> tuple[A
     for guess in guesses:
         up = gravity_aligned(faces, guess)
         turned = faces.turned(rotation_to_z(up))
-        if up @ guess > np.cos(np.deg2rad(35)) and (height := floor_height(turned, None)) is not None:
-            near = (np.abs(turned.centers[:, 2] - height) < 2 * _FLOOR_BAND_M) & (np.abs(turned.normals[:, 2]) > 0.9)
+        if up @ guess > np.cos(np.deg2rad(35)) and (height := floor_height(turned, None, band)) is not None:
+            near = (np.abs(turned.centers[:, 2] - height) < 2 * band) & (np.abs(turned.normals[:, 2]) > 0.9)
             normal = fitted_normal(faces.chosen(near), up)
             return (normal if normal is not None and normal @ up > np.cos(np.deg2rad(10)) else up), []
-    return guesses[0], ["no floor seen: up taken from the " + ("cameras" if camera_up is not None else "scan's z axis")]
+    return guesses[0], ["no floor seen: up taken from the " + ("frames" if seen is not None else "scan's z axis")]
 
 
 def gravity_aligned(faces: Facets, guess: Array) -> Array:
@@ -189,7 +203,7 @@ def gravity_aligned(faces: Facets, guess: Array) -> Array:
     return up
 
 
-def floor_height(faces: Facets, floor: Facets | None) -> float | None:
+def floor_height(faces: Facets, floor: Facets | None, band: float = BAND_M) -> float | None:
     """Height of the floor [m] in a frame whose z axis is up; None when nothing level and low enough is seen.
 
     The lowest level of at least `_MIN_FLOOR_M2` that is not dwarfed by a level above it and has hardly anything below.
@@ -225,7 +239,7 @@ def floor_height(faces: Facets, floor: Facets | None) -> float | None:
     three = np.convolve(by_bin, np.ones(3), mode="same")
     crests = (three >= np.append(three[1:], 0.0)) & (three >= np.append(0.0, three[:-1])) & (three >= 0.5 * three[window].max())
     peak = window.start + int(np.argmax(crests[window])) if crests[window].any() else peak
-    near = np.abs(heights - centers[peak]) < _FLOOR_BAND_M
+    near = np.abs(heights - centers[peak]) < band
     return _weighted_median(heights[near], areas[near])
 
 
@@ -314,7 +328,7 @@ def _tilt(faces: Facets, up: Array) -> float:
     height = floor_height(turned, None)
     normal = None
     if height is not None:
-        near = (np.abs(turned.centers[:, 2] - height) < 2 * _FLOOR_BAND_M) & (np.abs(turned.normals[:, 2]) > 0.9)
+        near = (np.abs(turned.centers[:, 2] - height) < 2 * BAND_M) & (np.abs(turned.normals[:, 2]) > 0.9)
         normal = fitted_normal(faces.chosen(near), up)
     return float(np.arccos(np.clip((normal if normal is not None else up)[2], -1.0, 1.0)))
 

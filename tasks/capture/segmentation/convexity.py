@@ -1,4 +1,4 @@
-"""Patches that meet in a smooth or a convex joint are of one object.
+"""SurfacePatches that meet in a smooth or a convex joint are of one object.
 
 After Stein et al., "Object Partitioning using Local Convexity", CVPR 2014, without its rule that two patches must have a common convex
 neighbor: on the grid of an image that takes everything apart.
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.capture.segmentation.patches import Patches
+from tasks.capture.segmentation.patches import SurfacePatches
 from tasks.kernels import Kernels, compile_kernels
 from tasks.settings import Config, Count, Positive, Share
 
@@ -36,7 +36,7 @@ class ConvexityConfig(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Contacts:
+class PatchContacts:
     """Pairs of patches that touch: first < second, pixel pairs, and those of them without a step in depth; each of shape (n,)."""
 
     first: Indices
@@ -45,32 +45,32 @@ class Contacts:
     passing: Indices
 
 
-def contacts_of(label: Indices, depth: Array, step: Array, reach: int) -> Contacts:
+def contacts_of(label: Indices, depth: Array, step: Array, reach: int) -> PatchContacts:
     """Where labels of an image, shape (h, w), touch across up to `reach` pixels."""
     count = int(label.max(initial=-1)) + 1
     keys, is_passing = _compiled()["_pairs"](label, depth, step, reach, count)
     named, inverse = np.unique(keys, return_inverse=True)
     pairs, passing = np.bincount(inverse, minlength=len(named)), np.bincount(inverse[is_passing], minlength=len(named))
-    return Contacts(named // max(count, 1), named % max(count, 1), pairs, passing)
+    return PatchContacts(named // max(count, 1), named % max(count, 1), pairs, passing)
 
 
-def joined_patches(patches: Patches, contacts: Contacts, config: ConvexityConfig) -> Indices:
+def joined_patches(patches: SurfacePatches, contacts: PatchContacts, config: ConvexityConfig) -> Indices:
     """Region of each patch, shape (n,), numbered from 0."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     touch = (contacts.passing >= config.least_pairs) & (contacts.passing >= config.least_share * contacts.pairs)
     a, b = contacts.first[touch], contacts.second[touch]
-    one = is_joint(patches.points[a], patches.normals[a], patches.points[b], patches.normals[b], config)
-    a, b = a[one], b[one]
+    is_one = is_joint(patches.points[a], patches.normals[a], patches.points[b], patches.normals[b], config)
+    a, b = a[is_one], b[is_one]
     count = len(patches.sizes)
     graph = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def is_joint(points: Array, normals: Array, others: Array, directions: Array, config: ConvexityConfig) -> Bools:
+def is_joint(points: Array, normals: Array, far_points: Array, directions: Array, config: ConvexityConfig) -> Bools:
     """Whether patches, middles and normals of shapes (n, 3), and their neighbors are of one object, shape (n,)."""
-    between = points - others
+    between = points - far_points
     between /= np.maximum(np.linalg.norm(between, axis=1), 1e-12)[:, None]
     angle = np.degrees(np.arccos(np.clip((normals * directions).sum(axis=1), -1.0, 1.0)))
     is_convex = ((normals - directions) * between).sum(axis=1) >= 0.0

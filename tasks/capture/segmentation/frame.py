@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tasks.capture.segmentation.convexity import ConvexityConfig, contacts_of, joined_patches
 from tasks.capture.segmentation.organized import OrganizedFrame, organized_frame
-from tasks.capture.segmentation.patches import PatchConfig, patches_of
+from tasks.capture.segmentation.patches import SurfacePatchConfig, patches_of
 from tasks.capture.segmentation.planes import FramePlanes, Plane, PlaneConfig, frame_planes, on_plane
 from tasks.capture.segmentation.vessels import VesselConfig, bridged, outlines, without_parts
 from tasks.capture.small_objects.lifting import DepthView
@@ -21,6 +21,10 @@ from tasks.settings import Config, Count, Positive, Share
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Indices = NDArray[np.int64]
+
+
+_LOWEST_PERCENT = 0.2
+"""Of the pixels may lie below the lowest level: flying ones."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +40,7 @@ class FrameConfig(Config):
     island_share: Share = 0.5  # of the largest part of a support that is seen: a smaller one may be the bottom of a vessel ...
     island_outline: Share = 0.6  # ... whose rim is so much of its outline
     planes: PlaneConfig = dataclasses.field(default_factory=PlaneConfig)  # see there
-    patches: PatchConfig = dataclasses.field(default_factory=PatchConfig)  # see there
+    patches: SurfacePatchConfig = dataclasses.field(default_factory=SurfacePatchConfig)  # see there
     convexity: ConvexityConfig = dataclasses.field(default_factory=ConvexityConfig)  # see there
     vessels: VesselConfig = dataclasses.field(default_factory=VesselConfig)  # see there
 
@@ -65,6 +69,7 @@ def segmented_frame(view: DepthView, config: FrameConfig, up: Array | None = Non
     if planes.support is not None:
         region, support = _with_islands(region, support, config)
         region, support = _with_aprons(region, support, planes.support.plane, frame, config)
+        region, room = _with_ground(region, room, planes.support.plane, frame, config)
     least = config.least_px * (view.depth.shape[1] / 640) ** 2
     region = _sizable(region, least)
     return FrameSegments(region, None if planes.support is None else planes.support.plane, support, room)
@@ -109,6 +114,23 @@ def _with_aprons(
     return np.where(member, -1, region), support | member
 
 
+def _with_ground(
+    region: Indices, room: Bools, plane: Plane, frame: OrganizedFrame, config: FrameConfig
+) -> tuple[Indices, Bools]:  # fmt: skip
+    """Regions that are as low as anything is, far below the support, are floor: strips of it that are no plane by themselves."""
+    member = region >= 0
+    heights = plane.heights(frame.points)
+    lowest = float(np.percentile(heights[frame.valid], _LOWEST_PERCENT)) if member.any() else 0.0
+    if lowest > -config.planes.storey_m:
+        return region, room
+    limit = lowest + config.planes.storey_m + config.planes.remove_sigmas * frame.noise
+    count = int(region.max(initial=-1)) + 1
+    low = np.bincount(region[member & (heights < limit)], minlength=count)
+    ground = low >= config.apron_share * np.maximum(np.bincount(region[member], minlength=count), 1)
+    is_ground = member & np.append(ground, False)[region]
+    return np.where(is_ground, -1, region), room | is_ground
+
+
 def under_plane(points: Array, top: Array, plane: Plane) -> Bools:
     """Whether points, shape (n, 3), lie within the hull of a plane's own, shape (m, 3), seen along its normal, shape (n,)."""
     from scipy.spatial import ConvexHull, QhullError
@@ -130,7 +152,7 @@ def _with_islands(region: Indices, support: Bools, config: FrameConfig) -> tuple
     sizes = np.bincount(island.ravel(), minlength=count + 1)[1:]
     regions = int(region.max(initial=-1)) + 1
     marked = np.where(support, regions + island - 1, region)
-    outline = outlines(bridged(marked, config.vessels.bridge_px), regions + count)[regions:]
+    outline = outlines(bridged(marked, config.vessels.bridge_px)[0], regions + count)[regions:]
     total = np.maximum(outline.sum(axis=1), 1)
     best = outline[:, :regions].argmax(axis=1) if regions else np.zeros(count, dtype=np.int64)
     lies = (sizes < config.island_share * sizes.max(initial=0)) & (

@@ -25,7 +25,7 @@ _GROWTH = 1.5
 
 
 @dataclasses.dataclass(frozen=True)
-class PatchConfig(Config):
+class SurfacePatchConfig(Config):
     """How pixels become patches."""
 
     side_m: Positive = 0.02  # of a patch: 1.2 or 4 cm cost some percent of the objects
@@ -44,7 +44,7 @@ class PatchConfig(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Patches:
+class SurfacePatches:
     """label: Patch of each pixel from 0, -1 for none, shape (h, w). points: Their middles [m], shape (n, 3). normals: Mean, unit, shape
     (n, 3). sizes: Pixels, shape (n,)."""
 
@@ -54,7 +54,7 @@ class Patches:
     sizes: Indices
 
 
-def patches_of(frame: OrganizedFrame, free: Bools, config: PatchConfig) -> Patches:
+def patches_of(frame: OrganizedFrame, free: Bools, config: SurfacePatchConfig) -> SurfacePatches:
     """The pixels in `free` that have a normal, shape (h, w), as patches."""
     kernels = _compiled()
     free = free & frame.has_normal
@@ -70,7 +70,7 @@ def patches_of(frame: OrganizedFrame, free: Bools, config: PatchConfig) -> Patch
     label = kernels["_connected"](label, np.ascontiguousarray(frame.points[..., 2]), step)
     label = _without_specks(label, frame, step, config.least_px)
     points, normals, _, sizes = _means(label, frame.points, frame.normals, color)
-    return Patches(label, points, normals, sizes)
+    return SurfacePatches(label, points, normals, sizes)
 
 
 def _cells(frame: OrganizedFrame, free: Bools, side: Array) -> Indices:
@@ -107,7 +107,7 @@ def _means(label: Indices, points: Array, normals: Array, color: Array) -> tuple
 
 
 def _without_specks(label: Indices, frame: OrganizedFrame, step: Array, least: int) -> Indices:
-    """Patches of enough pixels, numbered anew; what is of smaller ones goes to the neighbor whose normal is most like its own."""
+    """SurfacePatches of enough pixels, numbered anew; what is of smaller ones goes to the neighbor whose normal is most like its own."""
     sizes = np.bincount(label[label >= 0], minlength=1)
     kept = sizes >= least
     numbers = np.where(kept, np.cumsum(kept) - 1, -1)

@@ -81,13 +81,13 @@ def frame_planes(frame: OrganizedFrame, config: PlaneConfig, up: Array | None = 
 
     up: Up in the camera's frame, shape (3,), where it is known; else the support tells.
     """
-    found = largest_planes(frame, config)
-    if not found:
+    planes = largest_planes(frame, config)
+    if not planes:
         return FramePlanes(None)
-    support = _support(found, up)
+    support = _support(planes, up)
     cosine = np.cos(np.deg2rad(config.level_degrees))
     lower, tops, walls = [], [], []
-    for each in found:
+    for each in planes:
         along = float(each.plane.normal @ support.plane.normal)
         if each is not support and along > cosine:
             height = float(np.median(support.plane.heights(frame.points[each.pixels])))
@@ -100,14 +100,14 @@ def frame_planes(frame: OrganizedFrame, config: PlaneConfig, up: Array | None = 
     return FramePlanes(support, tuple(lower), tuple(tops), tuple(walls))
 
 
-def _support(found: list[FramePlane], up: Array | None) -> FramePlane:
+def _support(planes: list[FramePlane], up: Array | None) -> FramePlane:
     """The largest plane that looks up: where the camera stands on its feet, no wall in front of it does."""
     if up is not None:
-        level = [each for each in found if float(each.plane.normal @ up) > np.cos(np.deg2rad(20))]
-        return max(level or found, key=lambda each: int(each.pixels.sum()))
-    largest = max(int(each.pixels.sum()) for each in found)
-    upward = [each for each in found if -each.plane.normal[1] > _MIN_ANGLE_COS and each.pixels.sum() >= _RIVAL * largest]
-    return max(upward or found, key=lambda each: int(each.pixels.sum()))
+        level = [each for each in planes if float(each.plane.normal @ up) > np.cos(np.deg2rad(20))]
+        return max(level or planes, key=lambda each: int(each.pixels.sum()))
+    largest = max(int(each.pixels.sum()) for each in planes)
+    upward = [each for each in planes if -each.plane.normal[1] > _MIN_ANGLE_COS and each.pixels.sum() >= _RIVAL * largest]
+    return max(upward or planes, key=lambda each: int(each.pixels.sum()))
 
 
 def _is_wall(frame: OrganizedFrame, each: FramePlane, support: FramePlane, config: PlaneConfig) -> bool:
@@ -123,8 +123,8 @@ def largest_planes(frame: OrganizedFrame, config: PlaneConfig) -> list[FramePlan
     rng = np.random.default_rng(_SEED)
     free = frame.valid & frame.has_normal
     least = config.least_share * frame.valid.sum()
-    found: list[FramePlane] = []
-    while len(found) < config.most and free.sum() > max(least, 50):
+    planes: list[FramePlane] = []
+    while len(planes) < config.most and free.sum() > max(least, 50):
         plane = dominant_plane(frame, free, config, rng)
         if plane is None:
             break
@@ -133,9 +133,9 @@ def largest_planes(frame: OrganizedFrame, config: PlaneConfig) -> list[FramePlan
             break
         slant = np.abs((frame.normals[pixels] * frame.points[pixels]).sum(axis=-1)) / np.linalg.norm(frame.points[pixels], axis=-1)
         area = float((frame.pixel_m[pixels] ** 2 / np.maximum(slant, 0.1)).sum())
-        found.append(FramePlane(plane, pixels, area))
+        planes.append(FramePlane(plane, pixels, area))
         free &= ~pixels
-    return found
+    return planes
 
 
 def on_plane(frame: OrganizedFrame, plane: Plane, config: PlaneConfig) -> Bools:
@@ -156,8 +156,8 @@ def dominant_plane(frame: OrganizedFrame, free: Bools, config: PlaneConfig, rng:
     crosses = np.cross(three[:, 1] - three[:, 0], three[:, 2] - three[:, 0])
     sizes = np.linalg.norm(crosses, axis=1)
     crosses, three = crosses[sizes > 1e-9] / sizes[sizes > 1e-9, None], three[sizes > 1e-9]
-    one = rng.integers(len(some), size=config.hypotheses - config.hypotheses // 2)
-    directions, places = np.concatenate([crosses, normals[one]]), np.concatenate([three[:, 0], points[one]])
+    single = rng.integers(len(some), size=config.hypotheses - config.hypotheses // 2)
+    directions, places = np.concatenate([crosses, normals[single]]), np.concatenate([three[:, 0], points[single]])
     offsets = -(directions * places).sum(axis=1)
     near = np.abs(points @ directions.T + offsets) < limit[:, None]
     votes = (near & (np.abs(normals @ directions.T) > cosine)).sum(axis=0)

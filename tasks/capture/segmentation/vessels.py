@@ -25,10 +25,10 @@ class VesselConfig(Config):
     scrap_m2: Positive = 20e-4  # seen head on; what is smaller and touches another is a part of it: rims, knobs, necks of bottles
     bridge_px: Count = 3  # across which two regions are neighbors: edges lose their depth
     outline_share: Share = 0.4  # of a region's outline along another one: it is that one's inside
-    rim_share: Share = 0.2  # or so much of it, where one of the two is hollow and both are as high: they share a rim
+    rim_share: Share = 0.15  # or so much of it, where one of the two is hollow and both are as high: they share a rim
     hollow: NonNegative = 0.08  # mean turn of normals towards the middle, over 1: the walls of a box that is seen from above
     above_sigmas: NonNegative = 2.0  # of depth noise: an inside is no higher over the support than its rim ...
-    above_m: NonNegative = 0.002  # ... which may be a little askew
+    above_m: NonNegative = 0.005  # ... which may be a little askew
     times: Positive = 2.0  # the outside: an inside is not larger
     bulge: NonNegative = 0.1  # mean turn of normals away from the middle, over 1: what bulges lies in a vessel and is no inside
 
@@ -45,17 +45,17 @@ def without_parts(
     if heights is None:
         return region
     count = int(region.max(initial=-1)) + 1
-    seen = bridged(np.where(background >= 0, count + background, region), config.bridge_px)
-    return _with_insides(region, seen, frame, heights, config)
+    seen, place = bridged(np.where(background >= 0, count + background, region), config.bridge_px)
+    return _with_insides(region, seen, frame, heights, heights[place[0], place[1]], config)
 
 
-def bridged(label: Indices, reach: int) -> Indices:
+def bridged(label: Indices, reach: int) -> tuple[Indices, Indices]:
     """Labels of an image from 0, shape (h, w), with pixels of -1 given to the nearest label within so many pixels: edges lose their
-    depth."""
+    depth; and row and column of the pixel that each is given by, shape (2, h, w)."""
     from scipy.ndimage import distance_transform_edt
 
     distance, place = distance_transform_edt(label < 0, return_indices=True)
-    return np.asarray(np.where(distance <= reach, label[place[0], place[1]], label))
+    return np.asarray(np.where(distance <= reach, label[place[0], place[1]], label)), np.asarray(place)
 
 
 def _with_scraps(region: Indices, frame: OrganizedFrame, step: Array, config: VesselConfig) -> Indices:
@@ -80,13 +80,19 @@ def _with_scraps(region: Indices, frame: OrganizedFrame, step: Array, config: Ve
     return _renumbered(region, owner)
 
 
-def _with_insides(region: Indices, seen: Indices, frame: OrganizedFrame, heights: Array, config: VesselConfig) -> Indices:
-    """Hollow regions and what has their rim as one, the smallest first. seen: Regions, and what else is in the image as numbers above
-    them, without gaps."""
+def _with_insides(
+    region: Indices, seen: Indices, frame: OrganizedFrame, heights: Array, nearest: Array, config: VesselConfig
+) -> Indices:  # fmt: skip
+    """Hollow regions and what has their rim as one, the smallest first.
+
+    seen: Regions, and what else is in the image as numbers above them, without gaps, shape (h, w). nearest: Heights of the pixels that
+    these are of [m], shape (h, w).
+    """
     count = int(region.max(initial=-1)) + 1
-    others = int(seen.max(initial=-1)) + 1
-    table = outlines(seen, others)
+    labels = int(seen.max(initial=-1)) + 1
+    table = outlines(seen, labels)
     table, total = table[:count, :count], table[:count].sum(axis=1)
+    rise = rises(seen, nearest, labels)[:count, :count]
     order = np.argsort(region, axis=None, kind="stable")
     members = np.split(order, np.searchsorted(region.ravel()[order], np.arange(count + 1)))[1:-1]
     owner = np.arange(count)
@@ -94,7 +100,7 @@ def _with_insides(region: Indices, seen: Indices, frame: OrganizedFrame, heights
     queue = sorted(range(count), key=lambda index: (len(members[index]), index))
     while queue:
         small = queue.pop(0)
-        whole = _whole(small, table, total, shapes, config)
+        whole = _whole(small, table, rise, total, shapes, config)
         if whole is None:
             continue
         owner[owner == small] = whole
@@ -103,25 +109,29 @@ def _with_insides(region: Indices, seen: Indices, frame: OrganizedFrame, heights
         total[whole] += total[small] - 2 * table[small, whole]
         table[whole] += table[small]
         table[:, whole] += table[:, small]
+        rise[whole] += rise[small]
+        rise[:, whole] += rise[:, small]
         table[small], table[:, small], total[small] = 0, 0, 0
         table[whole, whole] = 0
         queue = sorted({index for index in queue if index != whole} | {whole}, key=lambda index: (len(members[index]), index))
     return _renumbered(region, owner)
 
 
-def _whole(small: int, table: Indices, total: Indices, shapes: list[_Shape], config: VesselConfig) -> int | None:
+def _whole(small: int, table: Indices, rise: Array, total: Indices, shapes: list[_Shape], config: VesselConfig) -> int | None:
     """The region that a smaller one is the inside or the outside of; None where there is none."""
     if not total[small] or not table[small].any():
         return None
-    one = shapes[small]
+    shape = shapes[small]
     for whole in np.lexsort((np.arange(len(total)), -table[small]))[:3]:
         other = shapes[whole]
         share = table[small, whole] / total[small]
         if whole == small or share < config.rim_share:
             continue
-        slack = config.above_sigmas * max(one.noise, other.noise) + config.above_m
-        is_inside = one.bulge <= config.bulge and one.top <= other.top + slack and one.pixels <= config.times * other.pixels
-        has_rim = min(one.bulge, other.bulge) <= -config.hollow and abs(one.top - other.top) <= slack
+        slack = config.above_sigmas * max(shape.noise, other.noise) + config.above_m
+        # what lies in a vessel stands out of it all around; its bottom lies below what is around it
+        is_inside = shape.bulge <= config.bulge and shape.top <= other.top + slack and rise[small, whole] > 0
+        is_inside &= shape.pixels <= config.times * other.pixels
+        has_rim = min(shape.bulge, other.bulge) <= -config.hollow and abs(shape.top - other.top) <= slack
         if has_rim or (is_inside and share >= config.outline_share):
             return int(whole)
     return None
@@ -154,6 +164,19 @@ def bulge(points: Array, normals: Array) -> float:
     length = np.linalg.norm(flat, axis=1)
     far = length > 0.25 * length.max(initial=0.0)
     return float(((normals * flat).sum(axis=1)[far] / np.maximum(length[far], 1e-12)).mean()) if far.any() else 0.0
+
+
+def rises(label: Indices, heights: Array, count: int) -> Array:
+    """Sum over pairs of neighboring pixels of two labels, from the first one's to the second one's, of the step in height [m], shape
+    (count, count): above 0 where the second one is higher."""
+    table = np.zeros((count + 1, count + 1))
+    whole, first, last = slice(None), slice(None, -1), slice(1, None)
+    for here, there in (((first, whole), (last, whole)), ((whole, first), (whole, last))):
+        differ = label[here] != label[there]
+        a, b, step = label[here][differ], label[there][differ], (heights[there] - heights[here])[differ]
+        np.add.at(table, (a, b), step)
+        np.add.at(table, (b, a), -step)
+    return table[:count, :count]
 
 
 def outlines(region: Indices, count: int) -> Indices:

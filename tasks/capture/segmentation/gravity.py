@@ -1,0 +1,81 @@
+"""Which way is up in a scan that has frames alone: away from what carries things, however cameras were held."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.capture.instances.views import camera_up, chosen_frames
+from tasks.capture.reading import FrameSource
+from tasks.capture.rooms.alignment import BAND_M, SeenLevel
+from tasks.capture.segmentation.frame import FrameConfig
+from tasks.capture.segmentation.organized import organized_frame
+from tasks.capture.segmentation.planes import FramePlanes, frame_planes
+from tasks.capture.small_objects.lifting import DepthView, depth_view
+
+Array = NDArray[np.float64]
+
+_MOST_FRAMES = 12
+"""Frames that are asked: of a walk through a room most show some floor or table."""
+
+_AGREE_DEGREES = 6.0
+"""Between two frames' supports: their noise, and a tracker's drift."""
+
+_SAME_LEVEL_M, _LEAST_M2 = 0.05, 0.15
+"""Between frames' views of one level [m]; and least of it that is seen, over all frames [m2]: less is the lid of a box."""
+
+_BAND_SPACINGS, _LEAST_BAND_M = 3.0, 0.01
+"""Depth noise of a fused floor in distances of its vertices; and least [m]."""
+
+_LEAST_SHARE = 0.25
+"""Of the pixels that a direction needs behind it, before cameras are believed instead."""
+
+
+def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfig) -> SeenLevel | None:
+    """Up by the normal of the supports of most pixels of some frames; else that of the cameras on average, None where they disagree.
+
+    spacing: Of the vertices of the surface that was fused from them [m], which follows depth noise.
+
+    Raises:
+        InputError: images of a frame cannot be read.
+    """
+    band = float(np.clip(_BAND_SPACINGS * spacing, _LEAST_BAND_M, BAND_M))
+    views = [depth_view(frames[index], np.eye(4)) for index in chosen_frames(frames, _MOST_FRAMES)]
+    seen = [(view, _planes(view, config)) for view in views if view is not None]
+    supports = [(view.pose[:3, :3] @ planes.support.plane.normal, planes.support.pixels.sum()) for view, planes in seen if planes.support]
+    if supports:
+        directions, counts = np.array([normal for normal, _ in supports]), np.array([float(count) for _, count in supports])
+        agrees = directions @ directions.T > np.cos(np.deg2rad(_AGREE_DEGREES))
+        best = int((agrees @ counts).argmax())
+        if (agrees[best] * counts).sum() >= _LEAST_SHARE * counts.sum():
+            mean = (directions * (agrees[best] * counts)[:, None]).sum(axis=0)
+            up = mean / np.linalg.norm(mean)
+            return SeenLevel(up, _lowest(seen, up), band)
+    up = camera_up(frames)
+    return None if up is None else SeenLevel(up, None, band)
+
+
+def _planes(view: DepthView, config: FrameConfig) -> FramePlanes:
+    frame = organized_frame(view, config.farthest_m, config.window_m, config.window_sigmas, config.gate_sigmas)
+    return frame_planes(frame, config.planes)
+
+
+def _lowest(seen: Sequence[tuple[DepthView, FramePlanes]], up: Array) -> float | None:
+    """Height along `up` of the lowest level of which enough is seen [m]."""
+    heights, areas = [], []
+    for view, planes in seen:
+        for each in (planes.support, *planes.lower, *planes.tops):
+            if each is not None and view.pose[:3, :3] @ each.plane.normal @ up > np.cos(np.deg2rad(_AGREE_DEGREES)):
+                heights.append(float(np.median(view.points()[each.pixels] @ up)))
+                areas.append(each.area_m2)
+    if not heights:
+        return None
+    height, area = np.array(heights), np.array(areas)
+    near = np.abs(height[:, None] - height[None, :]) < _SAME_LEVEL_M
+    total = near @ area
+    low = int(min(np.flatnonzero(total >= min(_LEAST_M2, total.max())), key=lambda index: height[index]))
+    order = np.argsort(height[near[low]])
+    half = np.searchsorted(np.cumsum(area[near[low]][order]), 0.5 * area[near[low]].sum())
+    return float(height[near[low]][order][min(int(half), int(near[low].sum()) - 1)])

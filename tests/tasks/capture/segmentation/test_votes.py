@@ -1,0 +1,104 @@
+"""Tables seen from above in frames without labels: up for any pitch of the camera, and instances that views agree on."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.capture.frames import write_scan
+from schemas.record import check
+from schemas.tables import TABLES
+from tasks.capture import CaptureConfig, find_scans, run
+from tasks.capture.fusion import FusionConfig, voxel_side
+from tasks.capture.instances.views import camera_up
+from tasks.capture.reading import FrameSource, Reading
+from tasks.capture.scenes import read_scan
+from tasks.capture.segmentation.frame import FrameConfig
+from tasks.capture.segmentation.gravity import scan_level
+from tasks.capture.segmentation.votes import VoteConfig, is_tabletop
+from tasks.capture.small_objects.lifting import DepthView
+from tasks.geometry.transforms import matrix
+from tasks.stage import Context, Outcome
+from tests.tasks.capture.segmentation.test_frame import FLOOR, SHOWN, TOP, shown
+
+
+def reading_of(folder: Path, views: list[DepthView]) -> Reading:
+    (scan,), _ = find_scans(write_scan(folder, views))
+    return read_scan(scan)
+
+
+def captured(folder: Path, views: list[DepthView]) -> Outcome:
+    (scan,), _ = find_scans(write_scan(folder, views))
+    return run(scan=scan, context=Context(scan.scene_id, "capture", 0, {}), config=CaptureConfig())
+
+
+@pytest.mark.parametrize("pitch", [0.35, 0.8, 1.2])
+def test_up_is_over_the_table_however_steep_the_camera_looks(pitch: float, tmp_path: Path) -> None:
+    view, _ = shown(SHOWN, pitch)
+    frames = reading_of(tmp_path / "table", [view]).frames
+    level, up = scan_level(frames, 0.01, FrameConfig()), view.pose[2, :3]
+    assert level is not None
+    assert np.degrees(np.arccos(min(1.0, float(level.up @ up)))) < 0.3
+    by_cameras = camera_up(frames)
+    assert by_cameras is not None
+    assert np.degrees(np.arccos(by_cameras @ up)) == pytest.approx(np.degrees(pitch), abs=1.0), "what was believed before"
+
+
+def test_frames_without_depth_or_plane_leave_it_to_cameras(tmp_path: Path) -> None:
+    view, _ = shown(SHOWN, 0.8)
+    empty = dataclasses.replace(view, depth=np.zeros_like(view.depth))
+    level = scan_level(reading_of(tmp_path / "table", [empty]).frames, 0.01, FrameConfig())
+    assert level is not None
+    assert level.height is None
+    assert level.up == pytest.approx([0, -1, 0])
+    assert scan_level((), 0.01, FrameConfig()) is None
+
+
+@pytest.mark.parametrize(("away", "side"), [(0.3, 0.005), (1.0, 0.0081), (3.0, 0.02)])
+def test_voxels_are_as_fine_as_noise_and_pixels_allow(away: float, side: float) -> None:
+    """At 1 m: four times 1.9 mm of noise, two and a half pixels of 2 mm."""
+    depth = np.full((240, 320), away, dtype=np.float32)
+    frame = FrameSource(
+        "0", "", "0", 320, 240, (500.0, 500.0, 159.5, 119.5), (320, 240), (500.0, 500.0, 159.5, 119.5), 1000.0, np.eye(4),
+        lambda: np.zeros((240, 320, 3), np.uint8), lambda: depth,
+    )  # fmt: skip
+    assert voxel_side([frame], [0], FusionConfig()) == pytest.approx(side, abs=6e-4)
+    assert voxel_side([frame], [0], FusionConfig(voxel_m=0.003)) == 0.003, "the coarsest that is allowed"
+    assert voxel_side([dataclasses.replace(frame, pose=None)], [0], FusionConfig()) == 0.02
+
+
+def test_a_table_is_told_from_a_floor_by_how_near_eyes_are() -> None:
+    def at(height: float) -> FrameSource:
+        pose = np.eye(4)
+        pose[2, 3] = height
+        return FrameSource("0", "", None, 1, 1, (1, 1, 0, 0), None, (1, 1, 0, 0), 1.0, pose, lambda: np.zeros((1, 1, 3), np.uint8), None)
+
+    assert is_tabletop(["floor"], [at(0.5), at(0.6), at(1.5)], np.eye(4), VoteConfig())
+    assert not is_tabletop(["floor", "wall"], [at(0.5)], np.eye(4), VoteConfig())
+    assert not is_tabletop(["floor"], [at(1.4)], np.eye(4), VoteConfig())
+    assert not is_tabletop([], [], np.eye(4), VoteConfig())
+
+
+@pytest.mark.whole
+def test_things_on_a_table_are_instances_of_a_scan_without_labels(tmp_path: Path) -> None:
+    """Two looks from 46 and 57 degrees: each box is one instance where it stands, the table is another, and the world is level."""
+    views = [shown(SHOWN, pitch)[0] for pitch in (0.8, 1.0)]
+    outcome = captured(tmp_path / "table", views)
+    for name, rows in outcome.rows.items():
+        check(rows, TABLES[name].record)
+    (scene,) = outcome.rows["scenes"]
+    assert scene.segmentation == "geometry"
+    pose = matrix(scene.alignment)
+    assert np.degrees(np.arccos(pose[2, 2])) < 1.0
+    assert min(abs(pose[2, 3] + FLOOR), abs(pose[2, 3] + TOP)) < 0.01, "the room's floor, or the table's top"
+    objects = [row for row in outcome.rows["instances"] if not row.is_structure]
+    assert all(row.raw_label.startswith(("geometry:", "classical:")) for row in objects)
+    for mesh in SHOWN:
+        expected = (pose @ [*mesh.bounds.mean(axis=0), 1.0])[:3]
+        near = min(objects, key=lambda row: float(np.linalg.norm(matrix(row.box_pose)[:3, 3] - expected)))
+        assert np.linalg.norm(matrix(near.box_pose)[:3, 3] - expected) < 0.03
+        assert np.allclose(sorted(near.box_size), sorted(np.ptp(mesh.bounds, axis=0)), atol=0.035)
+    assert any(max(row.box_size) > 0.9 for row in objects), "the table"
