@@ -95,9 +95,7 @@ def lifting_figures(
         pairs, counted = matched_pairs(overlap), set(scene.counted)
         # what frames hardly show need not be found, and is no error either
         spare = {
-            i
-            for i in range(len(clouds.instances))
-            if len(overlap) and int(overlap[:, i].argmax()) not in counted and overlap[:, i].any()
+            i for i in range(len(clouds.instances)) if len(overlap) and int(overlap[:, i].argmax()) not in counted and overlap[:, i].any()
         }
         objects, instances = objects + len(counted), instances + len(clouds.instances) - len(spare)
         matched += sum(obj in counted for obj, _ in pairs)

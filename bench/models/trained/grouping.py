@@ -75,12 +75,12 @@ def _patches(pairs: list[tuple[Indices, Indices, NDArray[np.float64]]], is_objec
     target = np.concatenate([np.concatenate([there, here]) for here, there, _ in pairs[:4]])
     likely = np.concatenate([np.concatenate([each, each]) for *_, each in pairs[:4]])
     for _ in range(_ROUNDS):
-        reached = np.flatnonzero((patch[source] >= 0) & (patch[target] < 0))
+        reached = np.flatnonzero((likely > 0) & (patch[source] >= 0) & (patch[target] < 0))
         if not len(reached):
             break
         order = reached[np.lexsort((patch[source[reached]], -likely[reached], target[reached]))]
-        own, place = np.unique(target[order], return_index=True)
-        patch[own] = patch[source[order[place]]]
+        own, nearest = np.unique(target[order], return_index=True)
+        patch[own] = patch[source[order[nearest]]]
     return patch
 
 
@@ -89,10 +89,10 @@ def _joined(pairs: list[tuple[Indices, Indices, NDArray[np.float64]]], patch: In
     count = int(patch.max()) + 1
     total, number = np.zeros((count, count)), np.zeros((count, count))
     for here, there, likely in pairs:
-        a, b = patch[here], patch[there]
-        across = (a >= 0) & (b >= 0) & (a != b)
-        np.add.at(total, (a[across], b[across]), likely[across])
-        np.add.at(number, (a[across], b[across]), 1)
+        across = (patch[here] >= 0) & (patch[there] >= 0) & (patch[here] != patch[there])
+        ends = (patch[here[across]], patch[there[across]])
+        np.add.at(total, ends, likely[across])
+        np.add.at(number, ends, 1)
     total, number, group = total + total.T, number + number.T, np.arange(count)
     mean = np.where(number >= _LEAST_PAIRS, total / np.maximum(number, 1), -np.inf)
     while True:

@@ -31,7 +31,7 @@ LEAST_BOARD = 1500
 """Pixels with depth of a support: a smaller one does not say where its plane is."""
 
 OVER_SHARE = 0.6
-"""Of an object's pixels above the support, for it to stand there."""
+"""Of an object's pixels above the support itself, for it to stand there."""
 
 TALL_M = 0.6
 """Above a support, where things are looked for: as `supports.csv` has it for tables and desks."""
@@ -95,7 +95,7 @@ def _table(drawing: Drawing, view: DepthView, labels: NDArray[np.int32], board: 
     x, y = (float(value) for value in corners.mean(axis=0))
     low, high = np.array([*(-half - DILATION_M), -BELOW_M]), np.array([*(half + DILATION_M), TALL_M])
     slab = SupportSlab(yaw_pose(math.atan2(side[1], side[0]), [x, y, 0.0]), low, high, half)
-    above = slab.holds(points) & measured
+    above = slab.holds(points) & (slab.inset(slab.local(points)) >= 0) & measured  # chairs at a table reach over its edge
     numbers = [number for number, region in enumerate(drawing.objects, 1) if not region.is_support and (labels == number).any()]
     masks = np.array([labels == number for number in numbers]).reshape(-1, *labels.shape)
     own = [(mask & measured).sum() for mask in masks]

@@ -22,8 +22,8 @@ DRAWS = 2000
 
 @dataclasses.dataclass(frozen=True)
 class TrueMasks:
-    """What a frame shows. masks: Shape (n, h, w). words: Of each. counted: Which have to be found, shape (n,); who finds another one makes no
-    error. care: Pixels that count, shape (h, w). group: Frames of one scene are no independent evidence."""
+    """What a frame shows. masks: Shape (n, h, w). words: Of each. counted: Which have to be found, shape (n,); who finds another one makes
+    no error. care: Pixels that count, shape (h, w). group: Frames of one scene are no independent evidence."""
 
     masks: Bools
     words: tuple[str, ...]
@@ -63,8 +63,10 @@ def score(truth: TrueMasks, found: FrameMasks) -> FrameScore:
 
 def overlaps(true: Bools, found: Bools) -> Array:
     """Intersection over union of masks, shapes (n, h, w) and (m, h, w); shape (n, m)."""
-    a, b = (masks.reshape(len(masks), -1).astype(np.float32) for masks in (true.astype(np.uint8), found.astype(np.uint8)))
-    shared = a @ b.T if len(a) and len(b) else np.zeros((len(a), len(b)))
+    if not len(true) or not len(found):
+        return np.zeros((len(true), len(found)))
+    a, b = (masks.reshape(len(masks), -1).astype(np.float32) for masks in (true, found))
+    shared = a @ b.T
     return np.asarray(shared / np.maximum(a.sum(axis=1)[:, None] + b.sum(axis=1)[None] - shared, 1), dtype=np.float64)
 
 
@@ -83,14 +85,15 @@ def lead(first: Sequence[FrameScore], second: Sequence[FrameScore], seed: int) -
     """F1 of the first less that of the second on the same frames, and the ends of its interval of 95 %: groups of frames are drawn with
     repetition, for both at once."""
     groups = sorted({each.group for each in first})
-    tables = [np.array([_table([e for e in scores if e.group == group], False).sum(axis=0) for group in groups]) for scores in (first, second)]
+    sums = [[_table([each for each in scores if each.group == group]).sum(axis=0) for group in groups] for scores in (first, second)]
+    tables = np.array(sums)
     drawn = np.random.default_rng(seed).integers(len(groups), size=(DRAWS, len(groups)))
     leads = [_f1(tables[0][rows].sum(axis=0)) - _f1(tables[1][rows].sum(axis=0)) for rows in drawn]
     low, high = np.quantile(leads, [0.025, 0.975])
     return harmonic(first) - harmonic(second), float(low), float(high)
 
 
-def _table(scores: Sequence[FrameScore], exact: bool) -> NDArray[np.int64]:
+def _table(scores: Sequence[FrameScore], exact: bool = False) -> NDArray[np.int64]:
     """Matched, true and seen, shape (frames, 3)."""
     return np.array([(each.exact if exact else each.matched, each.true, each.seen) for each in scores], dtype=np.int64).reshape(-1, 3)
 
