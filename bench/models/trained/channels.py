@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.small_objects.lifting import DepthView, depth_noise
 from tasks.capture.small_objects.supports import BELOW_M, SupportSlab
+from tasks.kernels import compile_kernels
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -76,7 +76,8 @@ def channels(
     made = np.zeros((CHANNELS, *depth.shape), dtype=np.float32)
     noise = depth_noise(depth).astype(np.float32)
     turn = (upright(pose).T @ pose[:3, :3]).astype(np.float32)
-    _surfaces(np.ascontiguousarray(depth, dtype=np.float32), turn, *intrinsics, boards.height, boards.above, noise, made)
+    surfaces = compile_kernels(_surfaces)[_surfaces.__name__]
+    surfaces(np.ascontiguousarray(depth, dtype=np.float32), turn, *intrinsics, boards.height, boards.above, noise, made)
     logs = np.log(color.astype(np.float32) + np.float32(_COLOR_SHIFT))
     tints = (logs.mean(axis=-1), 2 * (logs[..., 0] - logs[..., 1]), 2 * (logs[..., 2] - logs[..., 1]))
     where = boards.above & (depth > 0)
@@ -101,8 +102,9 @@ def mirrored(pose: Array) -> Array:
     return made
 
 
-@numba.njit(cache=True)
-def _surfaces(depth, turn, fx, fy, cx, cy, height, above, noise, made):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _surfaces(
+    depth: Images, turn: Images, fx: float, fy: float, cx: float, cy: float, height: Images, above: Bools, noise: Images, made: Images
+) -> None:  # fmt: skip
     """Channels of geometry, in place."""
     rows, columns = depth.shape
     points, other = np.empty((rows, columns, 3), np.float32), np.empty((rows, columns, 3), np.float32)

@@ -16,17 +16,18 @@ from bench.models.lifting import lifting_figures
 from bench.models.tabletops import SupportWord, Tabletop, tabletop
 from bench.models.trained.fitting import TrainedConfig, fitted_network
 from bench.models.trained.photographs import photographed_tables
-from bench.models.trained.scoring import FrameScore, TrueMasks, harmonic, lead, precision_recall, score
+from bench.models.trained.scoring import FrameScore, FrameTruth, harmonic, lead, precision_recall, score
 from bench.models.trained.seeing import WIDTH, seen_masks, thinned
-from bench.models.withheld import withheld_figures
+from bench.models.withheld import Finder, withheld_figures
 from tasks.capture.small_objects.additions import board_of
 from tasks.capture.small_objects.classical import ClassicalConfig, Found, found_in_masks, found_masks
+from tasks.capture.small_objects.classical import found_objects as found_classically
 from tasks.capture.small_objects.lifting import DepthView, FrameMasks
 from tasks.capture.small_objects.naming import NamingConfig, name_by_size
 from tasks.capture.small_objects.supports import SupportSlab, support_slabs
 
 if TYPE_CHECKING:
-    from bench.models.trained.network import PartingNet
+    from bench.models.trained.networks.parting import PartingNet
 
 CLASSICAL, TRAINED = "classical", "trained"
 
@@ -68,12 +69,8 @@ def trained_report(
         lead_of, low, high = lead(first, second, seed)
         leads.append({"frames of": title, "lead": lead_of, "low": low, "high": high})
     lifting = [dataclasses.asdict(each) for each in lifted_rows(network, scenes, seed)]
-    found = {CLASSICAL: None, TRAINED: partial(found_objects, network)}
-    walked = [
-        {"member": name, **dataclasses.asdict(withheld_figures(rooms, seed, **({} if finder is None else {"finder": finder})))}
-        for name, finder in found.items()
-        if rooms
-    ]
+    finders: dict[str, Finder] = {CLASSICAL: found_classically, TRAINED: partial(found_objects, network)}
+    walked = [{"member": name, **dataclasses.asdict(withheld_figures(rooms, seed, finder))} for name, finder in finders.items() if rooms]
     learned = next((row["f1"] for row in rows if row["frames of"].startswith(GENERATED) and row["member"] == TRAINED), None)
     goals = [goal("network: F1 of masks on generated desks and shelves that stand apart", learned, ">=", LEARNED)]
     return {"training": training, "frames": rows, "leads": leads, "lifting": lifting, "rooms": walked, "goals": goals}
@@ -110,22 +107,22 @@ def found_objects(
 
 
 @dataclasses.dataclass(frozen=True)
-class Frame:
+class ScoredFrame:
     """A frame with the boards in it, and what is true of it."""
 
     view: DepthView
     slabs: tuple[SupportSlab, ...]
-    truth: TrueMasks
+    truth: FrameTruth
 
 
-def frames_by_title(scenes: int, seed: int, realdata: Path | None) -> dict[str, list[Frame]]:
+def frames_by_title(scenes: int, seed: int, realdata: Path | None) -> dict[str, list[ScoredFrame]]:
     """Frames that masks are scored in."""
-    made: dict[str, list[Frame]] = {}
+    made: dict[str, list[ScoredFrame]] = {}
     for touching, title in ((False, "apart"), (True, "touching")):
         tops = [tabletop(word, touching, seed + number, VIEWS) for word in _words() for number in range(scenes)]
         made[f"{GENERATED}, {title}"] = [frame for number, top in enumerate(tops) for frame in _frames(top, str(number))]
     if realdata is not None:
-        made[REAL] = [Frame(table.view, (table.slab,), table.truth) for table in photographed_tables(realdata)]
+        made[REAL] = [ScoredFrame(table.view, (table.slab,), table.truth) for table in photographed_tables(realdata)]
     return made
 
 
@@ -133,24 +130,24 @@ def _words() -> tuple[SupportWord, ...]:
     return ("desk", "bookshelf")
 
 
-def _frames(top: Tabletop, group: str) -> list[Frame]:
+def _frames(top: Tabletop, group: str) -> list[ScoredFrame]:
     frames = []
     for number, view in enumerate(top.views):
         masks, own = top.masks(number)
         counted = masks.sum(axis=(1, 2)) >= LEAST_PIXELS
-        truth = TrueMasks(masks, tuple(top.words[index] for index in own), counted, view.depth > 0, group)
-        frames.append(Frame(view, _slabs(top), truth))
+        truth = FrameTruth(masks, tuple(top.words[index] for index in own), counted, view.depth > 0, group)
+        frames.append(ScoredFrame(view, _slabs(top), truth))
     return frames
 
 
-def scored(masks: Masks, frames: Sequence[Frame]) -> tuple[list[FrameScore], float]:
+def scored(masks: Masks, frames: Sequence[ScoredFrame]) -> tuple[list[FrameScore], float]:
     """Scores of frames, and seconds of a processor that masks took."""
     scores, seconds = [], 0.0
     for frame in frames:
         start = time.process_time()
-        found = masks(frame.view, frame.slabs)
+        seen = masks(frame.view, frame.slabs)
         seconds += time.process_time() - start
-        scores.append(score(frame.truth, found))
+        scores.append(score(frame.truth, seen))
     return scores, seconds
 
 
@@ -185,5 +182,4 @@ def _lifted(network: PartingNet, top: Tabletop) -> Found:
 
 
 def _lifted_classically(top: Tabletop) -> Found:
-    config = ClassicalConfig()
-    return found_in_masks(top.views, [found_masks(view, _slabs(top), config) for view in top.views], _slabs(top), config)
+    return found_classically(top.views, _slabs(top), ClassicalConfig())

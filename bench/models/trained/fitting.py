@@ -22,7 +22,7 @@ from tasks.training.fitting import FittingConfig, fit, seed_of, seeded
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-    from bench.models.trained.network import PartingNet
+    from bench.models.trained.networks.parting import PartingNet
 
 CROP = (128, 176)
 """Rows and columns that are learned from at once: half of a frame, with a few objects whole."""
@@ -46,7 +46,7 @@ class TrainedConfig(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Example:
+class TrainingCrop:
     """A crop. seen: Channels (c, h, w). owner: Thing of each pixel, `SUPPORT`, `REST` or `NO_DEPTH`, shape (h, w). above: Pixels in a slab,
     shape (h, w). category: Of each fourth pixel, -100 for none, shape (h / 4, w / 4)."""
 
@@ -56,7 +56,7 @@ class Example:
     category: NDArray[np.int64]
 
 
-def example(frame: TrainingFrame, rng: np.random.Generator) -> Example:
+def training_crop(frame: TrainingFrame, rng: np.random.Generator) -> TrainingCrop:
     """A crop of a frame around some pixel of a thing, as a sensor by chance sees it; half of them mirrored."""
     rows, columns = np.nonzero(frame.owner >= 0)
     pixel, shape = int(rng.integers(len(rows))), frame.owner.shape
@@ -87,7 +87,7 @@ def example(frame: TrainingFrame, rng: np.random.Generator) -> Example:
         )
     category = np.where((owner >= 0) & heights.above, frame.categories[np.maximum(owner, 0)], _IGNORED)[::4, ::4]
     category = np.where(category == NAMELESS, _IGNORED, category)
-    return Example(channels(depth, color, view.intrinsics, pose, heights), owner.copy(), heights.above, category)
+    return TrainingCrop(channels(depth, color, view.intrinsics, pose, heights), owner.copy(), heights.above, category)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,9 +103,9 @@ class PartingObjective:
         import torch
 
         rng = np.random.default_rng([self.seed, step, 5])
-        made = [example(self.frames[int(rng.integers(len(self.frames)))], rng) for _ in range(self.crops)]
+        made = [training_crop(self.frames[int(rng.integers(len(self.frames)))], rng) for _ in range(self.crops)]
         return tuple(
-            torch.from_numpy(np.stack([getattr(each, field.name) for each in made])) for field in dataclasses.fields(Example)
+            torch.from_numpy(np.stack([getattr(each, field.name) for each in made])) for field in dataclasses.fields(TrainingCrop)
         )  # fmt: skip
 
     def loss(self, module: nn.Module, batch: tuple[Tensor, ...]) -> tuple[Tensor, dict[str, float]]:
@@ -161,7 +161,7 @@ def fitted_network(
     Raises:
         InputError: torch is not installed.
     """
-    from bench.models.trained.network import PartingNet
+    from bench.models.trained.networks.parting import PartingNet
 
     frames: list[TrainingFrame] = []
     for number in range(config.scenes):

@@ -264,7 +264,7 @@ class _Look:
     def colors(self, hits: dict[str, NDArray[np.generic]], camera: Camera) -> NDArray[np.uint8]:
         seen = np.isfinite(hits["t_hit"])
         part = hits["geometry_ids"][seen].astype(np.int64)
-        base = self._paint.at(part, hits["primitive_ids"][seen].astype(np.int64), hits["primitive_uvs"][seen]).astype(np.float64)  # type: ignore[arg-type]
+        base = self._paint.at(part, hits["primitive_ids"][seen].astype(np.int64), hits["primitive_uvs"][seen]).astype(np.float64)
         rays = camera.rays()[seen].astype(np.float64)
         at = rays[:, :3] + hits["t_hit"][seen].astype(np.float64)[:, None] * rays[:, 3:]
         wave = np.sin((at * self._waves[part]).sum(axis=1) + self._phase[part])

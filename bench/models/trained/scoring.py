@@ -21,7 +21,7 @@ DRAWS = 2000
 
 
 @dataclasses.dataclass(frozen=True)
-class TrueMasks:
+class FrameTruth:
     """What a frame shows. masks: Shape (n, h, w). words: Of each. counted: Which have to be found, shape (n,); who finds another one makes
     no error. care: Pixels that count, shape (h, w). group: Frames of one scene are no independent evidence."""
 
@@ -45,11 +45,11 @@ class FrameScore:
     named: int
 
 
-def score(truth: TrueMasks, found: FrameMasks) -> FrameScore:
+def score(truth: FrameTruth, seen: FrameMasks) -> FrameScore:
     """Masks of a frame held against the truth, each one in one pair at most."""
     from scipy.optimize import linear_sum_assignment
 
-    overlap = overlaps(truth.masks & truth.care, found.masks & truth.care)
+    overlap = overlaps(truth.masks & truth.care, seen.masks & truth.care)
     pairs = []
     for least in (LEAST_IOU, EXACT_IOU):
         rows, columns = linear_sum_assignment(np.where(overlap >= least, overlap, 0.0), maximize=True)
@@ -57,15 +57,15 @@ def score(truth: TrueMasks, found: FrameMasks) -> FrameScore:
         pairs.append(near)
     best = overlap.argmax(axis=0) if overlap.size else np.zeros(0, dtype=np.int64)
     spare = [not truth.counted[i] and overlap[i, j] > 0 for j, i in enumerate(best)]
-    named = sum(truth.words[i] == found.labels[j] for i, j in pairs[0])
-    return FrameScore(truth.group, int(truth.counted.sum()), len(found.masks) - sum(spare), len(pairs[0]), len(pairs[1]), named)
+    named = sum(truth.words[i] == seen.labels[j] for i, j in pairs[0])
+    return FrameScore(truth.group, int(truth.counted.sum()), len(seen.masks) - sum(spare), len(pairs[0]), len(pairs[1]), named)
 
 
-def overlaps(true: Bools, found: Bools) -> Array:
+def overlaps(true: Bools, seen: Bools) -> Array:
     """Intersection over union of masks, shapes (n, h, w) and (m, h, w); shape (n, m)."""
-    if not len(true) or not len(found):
-        return np.zeros((len(true), len(found)))
-    a, b = (masks.reshape(len(masks), -1).astype(np.float32) for masks in (true, found))
+    if not len(true) or not len(seen):
+        return np.zeros((len(true), len(seen)))
+    a, b = (masks.reshape(len(masks), -1).astype(np.float32) for masks in (true, seen))
     shared = a @ b.T
     return np.asarray(shared / np.maximum(a.sum(axis=1)[:, None] + b.sum(axis=1)[None] - shared, 1), dtype=np.float64)
 

@@ -18,7 +18,7 @@ from tasks.capture.small_objects.lifting import DepthView, FrameMasks, depth_noi
 from tasks.capture.small_objects.supports import BELOW_M, SupportSlab
 
 if TYPE_CHECKING:
-    from bench.models.trained.network import PartingNet
+    from bench.models.trained.networks.parting import PartingNet
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -33,7 +33,7 @@ _CLASSICAL = ClassicalConfig()
 
 
 @dataclasses.dataclass(frozen=True)
-class Answer:
+class WindowAnswer:
     """Of a frame: objectness 0 to 1, shape (h, w), logits of pairs (p, h, w), and probabilities of categories (n, h, w)."""
 
     objectness: NDArray[np.float32]
@@ -62,20 +62,20 @@ def seen_masks(network: PartingNet, view: DepthView, slabs: Sequence[SupportSlab
     is_object = (answer.objectness > 0.5) & heights.above[window] & (depth[window] > 0)
     owner = np.full(depth.shape, -1, dtype=np.int64)
     owner[window] = objects_of_pairs(answer.pairs, is_object)
-    words, found = [], range(int(owner.max(initial=-1)) + 1)
-    for number in found:
+    words, numbers = [], range(int(owner.max(initial=-1)) + 1)
+    for number in numbers:
         words.append(WORDS[int(answer.categories[:, owner[window] == number].mean(axis=1).argmax())])
     large = np.repeat(np.repeat(owner, every, axis=0), every, axis=1)[: view.depth.shape[0], : view.depth.shape[1]]
-    masks = np.array([(large == number) & (view.depth > 0) for number in found], dtype=bool).reshape(-1, *view.depth.shape)
+    masks = np.array([(large == number) & (view.depth > 0) for number in numbers], dtype=bool).reshape(-1, *view.depth.shape)
     scores = np.array([max(_CLASSICAL.least_score, 1 - border_contact(mask)) for mask in masks])
     return FrameMasks(masks, tuple(words), scores)
 
 
-def answered(network: PartingNet, view: DepthView, heights: BoardHeights, window: tuple[slice, slice]) -> Answer:
+def answered(network: PartingNet, view: DepthView, heights: BoardHeights, window: tuple[slice, slice]) -> WindowAnswer:
     """What the network says of a window of a frame."""
     import torch
 
-    from bench.models.trained.network import CATEGORY_STRIDE, STRIDE
+    from bench.models.trained.networks.parting import CATEGORY_STRIDE, STRIDE
 
     rows, columns = window
     fx, fy, cx, cy = view.intrinsics
@@ -90,7 +90,7 @@ def answered(network: PartingNet, view: DepthView, heights: BoardHeights, window
     objectness = kinds[0].softmax(dim=0)[2].numpy()[:height, :width]
     likely = categories[0].softmax(dim=0).numpy()
     likely = np.repeat(np.repeat(likely, CATEGORY_STRIDE, axis=1), CATEGORY_STRIDE, axis=2)[:, :height, :width]
-    return Answer(objectness, pairs[0].numpy()[:, :height, :width], likely)
+    return WindowAnswer(objectness, pairs[0].numpy()[:, :height, :width], likely)
 
 
 def thinned(view: DepthView, every: int) -> DepthView:

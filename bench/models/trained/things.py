@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,9 +65,9 @@ def _named(rng: np.random.Generator) -> tuple[int, list[trimesh.Trimesh]]:
     parts = list(generate(word, (float(x), float(y), float(z)), rng).parts)
     if rng.random() < 0.4:
         tint = rng.uniform(0.3, 1.6, 3)
-        for part in parts:
-            if part.visual.kind == "vertex":
-                part.visual.vertex_colors = _opaque(part.visual.vertex_colors[:, :3] * tint)
+        for visual in (cast("Any", part.visual) for part in parts):
+            if visual.kind == "vertex":
+                visual.vertex_colors = _opaque(visual.vertex_colors[:, :3] * tint)
     return WORDS.index(word), parts
 
 

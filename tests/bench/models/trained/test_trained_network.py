@@ -17,10 +17,10 @@ from bench.models.tables import print_models
 from bench.models.tabletops import Tabletop, tabletop
 from bench.models.trained import seeing
 from bench.models.trained.comparison import found_objects, thinned_masks, trained_report
-from bench.models.trained.fitting import CROP, NO_DEPTH, TrainedConfig, example, fitted_network
+from bench.models.trained.fitting import CROP, NO_DEPTH, TrainedConfig, fitted_network, training_crop
 from bench.models.trained.grouping import PAIRS
 from bench.models.trained.scenes import FIRST_SEED, training_frames
-from bench.models.trained.seeing import Answer, seen_masks, thinned
+from bench.models.trained.seeing import WindowAnswer, seen_masks, thinned
 from bench.models.trained.things import WORDS
 from tasks.capture.small_objects.classical import ClassicalConfig, found_masks
 from tasks.capture.small_objects.lifting import DepthView
@@ -35,13 +35,13 @@ def told(monkeypatch: pytest.MonkeyPatch) -> Tabletop:
     desk = tabletop("desk", False, 900, views=6)
     owners = {view.color.tobytes(): owner for view, owner in zip(desk.views, desk.owner, strict=True)}
 
-    def answered(network: Any, view: DepthView, heights: Any, window: tuple[slice, slice]) -> Answer:
+    def answered(network: Any, view: DepthView, heights: Any, window: tuple[slice, slice]) -> WindowAnswer:
         owner = owners[view.color.tobytes()][window]
         pairs = [np.where((owner >= 0) & (owner == np.roll(owner, (-r, -c), (0, 1))), 6.0, -6.0) for r, c in PAIRS]
         categories = np.zeros((len(WORDS), *owner.shape), dtype=np.float32)
         for number, word in enumerate(desk.words):
             categories[WORDS.index(word), owner == number] = 1
-        return Answer((owner >= 0).astype(np.float32), np.array(pairs, dtype=np.float32), categories)
+        return WindowAnswer((owner >= 0).astype(np.float32), np.array(pairs, dtype=np.float32), categories)
 
     monkeypatch.setattr(seeing, "answered", answered)
     return desk
@@ -89,8 +89,8 @@ def test_large_frames_are_seen_in_every_second_pixel() -> None:
 def test_an_example_is_a_crop_whose_pixels_are_somebodys() -> None:
     (frame,) = training_frames(FIRST_SEED + 1, 1)
     for seed in range(8):
-        made = example(frame, np.random.default_rng(seed))
-        again = example(frame, np.random.default_rng(seed))
+        made = training_crop(frame, np.random.default_rng(seed))
+        again = training_crop(frame, np.random.default_rng(seed))
         assert all(np.array_equal(getattr(made, field.name), getattr(again, field.name)) for field in dataclasses.fields(made))
         assert made.owner.shape == made.above.shape == CROP
         assert ((made.owner == NO_DEPTH) == (made.seen[11] == 0)).all()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.models.trained.scoring import FrameScore, TrueMasks, harmonic, lead, overlaps, precision_recall, score
+from bench.models.trained.scoring import FrameScore, FrameTruth, harmonic, lead, overlaps, precision_recall, score
 from tasks.capture.small_objects.lifting import FrameMasks
 
 
@@ -20,7 +20,7 @@ def found(*spans: tuple[int, int], words: tuple[str, ...] = ()) -> FrameMasks:
     return FrameMasks(masks(*spans), words or ("",) * len(spans), np.ones(len(spans)))
 
 
-TRUTH = TrueMasks(
+TRUTH = FrameTruth(
     masks((0, 10), (10, 20), (20, 24)), ("mug", "book", "pen"), np.array([True, True, False]), np.ones((4, 40), dtype=bool), "a"
 )
 

@@ -27,7 +27,7 @@ _WIDTHS = (20, 40, 72, 104)
 _DECODED = 32
 
 
-class Block(nn.Module):
+class PartingBlock(nn.Module):
     """Two convolutions and a shortcut."""
 
     def __init__(self, width: int, dilation: int = 1) -> None:
@@ -52,10 +52,10 @@ class PartingNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         a, b, c, d = _WIDTHS
-        self.stem = nn.Sequential(layer(4 * CHANNELS, a), Block(a))
-        self.down = nn.ModuleList([nn.Sequential(layer(a, b, 2), Block(b)), nn.Sequential(layer(b, c, 2), Block(c))])
-        self.bottom = nn.Sequential(layer(c, d, 2), Block(d), Block(d, 2))
-        self.up = nn.ModuleList([layer(d + c, c), layer(c + b, b), nn.Sequential(layer(b + a, _DECODED), Block(_DECODED))])
+        self.stem = nn.Sequential(layer(4 * CHANNELS, a), PartingBlock(a))
+        self.down = nn.ModuleList([nn.Sequential(layer(a, b, 2), PartingBlock(b)), nn.Sequential(layer(b, c, 2), PartingBlock(c))])
+        self.bottom = nn.Sequential(layer(c, d, 2), PartingBlock(d), PartingBlock(d, 2))
+        self.up = nn.ModuleList([layer(d + c, c), layer(c + b, b), nn.Sequential(layer(b + a, _DECODED), PartingBlock(_DECODED))])
         self.pixels = nn.Conv2d(_DECODED, 4 * (KINDS + len(PAIRS)), 1)
         self.categories = nn.Sequential(layer(b, 64), nn.Conv2d(64, len(WORDS), 1))
 
