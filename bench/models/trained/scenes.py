@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.models.trained.things import NAMELESS, Thing, thing
+from bench.models.trained.things import NAMELESS, Thing, drawn_thing
 from tasks.furniture import generate
 from tasks.furniture.tops.sizes import surface, typical_size
 from tasks.geometry.rendering import Camera, RayScene
@@ -115,7 +115,7 @@ class _Scene:
         for _ in range(3 * wanted):
             if len(self.categories) == wanted:
                 break
-            new = thing(rng)
+            new = drawn_thing(rng)
             level, clear = self.levels[int(rng.integers(len(self.levels)))]
             if new.size[2] + 0.01 > clear or max(new.size[:2]) > _LARGEST_M:
                 continue
@@ -192,8 +192,8 @@ class _Scene:
         for _ in range(int(rng.integers(1, 4))):
             word = str(rng.choice(["chair", "office chair", "trash can", "lamp", "box"]))
             size = (float(rng.uniform(0.35, 0.6)), float(rng.uniform(0.35, 0.6)), float(rng.uniform(0.3, 1.0)))
-            at = [x + 0.3 + float(rng.uniform(0, 0.3)), float(rng.uniform(-y, y)), 0.0]
-            self.put(generate(word, size, rng).parts, yaw_pose(float(rng.uniform(-3, 3)), at), REST)
+            place = [x + 0.3 + float(rng.uniform(0, 0.3)), float(rng.uniform(-y, y)), 0.0]
+            self.put(generate(word, size, rng).parts, yaw_pose(float(rng.uniform(-3, 3)), place), REST)
 
     def camera(self) -> Camera:
         """Where somebody looks from: mostly down, at what stands there."""

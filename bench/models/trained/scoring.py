@@ -58,7 +58,7 @@ def score(truth: FrameTruth, seen: FrameMasks) -> FrameScore:
     best = overlap.argmax(axis=0) if overlap.size else np.zeros(0, dtype=np.int64)
     spare = [not truth.counted[i] and overlap[i, j] > 0 for j, i in enumerate(best)]
     named = sum(truth.words[i] == seen.labels[j] for i, j in pairs[0])
-    return FrameScore(truth.group, int(truth.counted.sum()), len(seen.masks) - sum(spare), len(pairs[0]), len(pairs[1]), named)
+    return FrameScore(truth.group, int(truth.counted.sum()), len(seen.masks) - int(sum(spare)), len(pairs[0]), len(pairs[1]), named)
 
 
 def overlaps(true: Bools, seen: Bools) -> Array:

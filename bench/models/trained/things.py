@@ -41,7 +41,7 @@ class Thing:
     size: tuple[float, float, float]
 
 
-def thing(rng: np.random.Generator) -> Thing:
+def drawn_thing(rng: np.random.Generator) -> Thing:
     """Something by chance: one of eight lies on its side or leans."""
     import trimesh
 

@@ -10,7 +10,7 @@ import pytest
 from bench.models.trained.channels import BoardHeights, board_heights, channels, level_heights, mirrored, upright
 from bench.models.trained.noise import measured_depth, seen_color
 from bench.models.trained.scenes import FIRST_SEED, SUPPORT, TrainingFrame, training_frames
-from bench.models.trained.things import NAMELESS, WORDS, thing
+from bench.models.trained.things import NAMELESS, WORDS, drawn_thing
 from tasks.capture.small_objects.lifting import DepthView
 from tasks.capture.small_objects.supports import SupportSlab
 from tasks.geometry.transforms import yaw_pose
@@ -50,7 +50,7 @@ def test_things_stand_over_boards_and_supports_below_them() -> None:
 def test_a_thing_stands_on_the_middle_of_its_bottom_and_has_its_size() -> None:
     rng = np.random.default_rng(0)
     for _ in range(40):
-        made = thing(rng)
+        made = drawn_thing(rng)
         bounds = np.array([part.bounds for part in made.parts])
         low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
         assert np.allclose(high - low, made.size, atol=1e-6)
