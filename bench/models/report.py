@@ -20,9 +20,9 @@ from bench.models.replies import reply_report
 from bench.models.retrieval import MODELS, RetrievalFigures, RetrievalShares, lacking
 from bench.models.retrieval import measured as retrieved
 from bench.models.texturing import TexturingBench, run_texturing_bench, steps_of
+from bench.models.trained.checkpoints import checkpoints
 from bench.models.trained.comparison import trained_report
 from bench.models.withheld import WithheldFigures, withheld_figures
-from flows.run.fingerprints import ModuleCaches
 from schemas.errors import InputError
 
 REPLIES, LIFTING, WITHHELD, TEXTURES, RETRIEVAL, DEVICES = "replies", "lifting", "withheld", "textures", "retrieval", "devices"
@@ -109,8 +109,7 @@ def run_models_bench(config: ModelsBench, advance: Callable[[str], None]) -> dic
         parts[DEVICES] = device_report()
         advance(DEVICES)
     if TRAINED in config.parts:
-        caches = ModuleCaches()["bench.models.trained.fitting"]
-        parts[TRAINED] = trained_report(config.scenes, rooms_of(config.scenes), config.seed, config.realdata, caches)
+        parts[TRAINED] = trained_report(config.scenes, rooms_of(config.scenes), config.seed, config.realdata, checkpoints())
         advance(TRAINED)
     return {"machine": machine(), "seed": config.seed, "parts": parts, "goals": [row for part in parts.values() for row in part["goals"]]}
 
