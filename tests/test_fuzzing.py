@@ -52,7 +52,7 @@ OWN = {
     "tasks/calls/": "reads answers of a server; tests/tasks/calls and tests/tasks/captions damage them",
     "tasks/capture/small_objects/supports.py": "reads a table that the user edits; damaged in test_supports.py",
     "tasks/capture/small_objects/detectors/commanded.py": "reads what a program of the user wrote; damaged in test_detectors.py",
-    "tasks/capture/small_objects/items/": "reads the package's own prompts and lists, and one that the user edits; damaged in test_items.py",
+    "tasks/capture/small_objects/items/": "reads prompts and lists of the package or the user; damaged in test_items.py",
     "tasks/weights.py": "reads weights that the user names; damaged in tests/tasks/test_weights.py",
     "tasks/library/": "reads models of libraries and their catalogs; tests/tasks/library damages them, and USD is read by a child",
     "tasks/texturing/": "reads assets of the lake, and what programs wrote; damaged in tests/tasks/texturing",
