@@ -1,4 +1,4 @@
-"""Masks of objects in real RGB-D frames, drawn by hand: point by point over enlarged pictures, and no segmentation had a part in them.
+"""Masks of objects in real RGB-D frames, drawn by eye: point by point over enlarged pictures, and no segmentation had a part in them.
 
 `drawn/` has a JSON file for each frame. Nothing of the frames themselves is in it:
 

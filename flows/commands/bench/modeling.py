@@ -36,7 +36,7 @@ def models(scenes: int, seed: int, realdata: Path | None, blender: str, parts: s
     `devices`: networks that see, with weights drawn at random: what they take of a graphics card at published shape, where there is one,
     and how far the processor is from it, or from its own double precision.
     `trained`, if asked for: a small network that parts small objects, trained on renders first, and the classical member on the same
-    frames of desks and shelves, in the same rooms, and on real tables below --realdata whose objects were drawn by hand.
+    frames of desks and shelves, in the same rooms, and on real tables below --realdata whose objects were drawn by eye.
 
     The exit code is 1 when a goal is missed, and else 0.
 

@@ -1,4 +1,4 @@
-"""Masks that were drawn by hand: how polygons become labels, and what the drawings say of the real frames."""
+"""Masks that were drawn by eye: how polygons become labels, and what the drawings say of the real frames."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def test_a_drawing_names_its_frame_and_what_is_in_it(name: str) -> None:
     drawing = read_drawing(path)
     frame = PurePosixPath(drawing.frame)
     assert name == f"{frame.parts[0]}_{frame.stem}.json"
-    assert json.loads(path.read_text())["drawn"] == "by hand over enlarged pictures"
+    assert json.loads(path.read_text())["drawn"] == "by eye over enlarged pictures, point by point"
     assert any(word in drawing.attribution for word in ("MIT", "BSD-3-Clause", "CC BY"))
     assert [label_map()[category].category for category in drawing.categories] == list(drawing.categories)
     assert not any(label_map()[category].is_structure for category in drawing.categories)
