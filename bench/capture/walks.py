@@ -60,7 +60,7 @@ def walk(room_type: str, seed: int, frames: int) -> Walk:
         shot = shoot(scene, paint, pose, pose, config, rng)
         camera = depth_camera(pose, config)
         lens = (camera.fx, camera.fy, camera.cx, camera.cy)
-        views.append(DepthView(f"{number:06d}", shot.depth.astype(np.float32) / 1000, shot.color, lens, pose))
+        views.append(DepthView(f"{number:06d}", shot.depth.astype(np.float32) / np.float32(1000), shot.color, lens, pose))
         rays = camera.rays()[::4, ::4].reshape(-1, 6)
         depth = scene.cast(rays)["t_hit"].astype(np.float64)
         near = depth < config.max_range_m

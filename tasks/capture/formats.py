@@ -183,10 +183,10 @@ def _listed(folder: Path, search: _Search, depth: int) -> tuple[list[Scan], list
         return [single], []
     if depth and not search.admits(folder):
         return [], [leaving(folder)]
-    inside = {path: (format, name) for format in wanted if format.within is not None for path, name in format.within(folder)}
+    parts = {path: (format, name) for format in wanted if format.within is not None for path, name in format.within(folder)}
     of_file = {path: (format, path.stem) for format in reversed(wanted) for path in files_named(folder, format.suffixes)}
-    named = {path.stem for path in inside}  # what has the name of such a scan belongs to it: the model beside a captured room
-    of_file = {path: own for path, own in of_file.items() if path.stem not in named} | inside
+    named = {path.stem for path in parts}  # what has the name of such a scan belongs to it: the model beside a captured room
+    of_file = {path: own for path, own in of_file.items() if path.stem not in named} | parts
     files = [(format, path, name) for path, (format, name) in sorted(of_file.items())]  # the first format that reads it
     scans = [search.scan(format, path, name) for format, path, name in files if search.admits(path)]
     errors = [leaving(path) for _, path, _ in files if not search.admits(path)]
