@@ -64,6 +64,8 @@ class SceneRows:
         parts = ["false"]
         if "scene_id" in columns:
             parts.append(f"scene_id = {literal(self._scene)}")
+        if "reference_scene_id" in columns:
+            parts.append(f"reference_scene_id = {literal(self._scene)}")
         if self.batches and "batch_id" in columns:
             parts.append(f"batch_id IN {_list(self.batches)}")
         if self.batches and table == "stage_runs":
@@ -164,6 +166,7 @@ class SceneRows:
             return pc.is_in(batch.column(column), value_set=pa.array(sorted(values), pa.string()))
 
         gone = pc.or_(also("scene_id", [self._scene]), also("batch_id", self.batches))
+        gone = pc.or_(gone, also("reference_scene_id", [self._scene]))
         if table == "stage_runs":
             gone = pc.or_(gone, pc.and_(also("scene_id", self.batches), pc.invert(also("stage", NO_BATCH_STAGES))))
         return pc.or_(gone, also(TABLES[table].key[0], shared)) if shared else gone
