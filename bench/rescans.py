@@ -110,7 +110,7 @@ def generated_pair(index: int, seed: int) -> Pair:
     before, after, changes = changed(room, rng)
     with tempfile.TemporaryDirectory(prefix="rescans-", ignore_cleanup_errors=True) as folder:
         scans = [scanned(each, Path(folder), f"scene{index:04d}_0{number}", rng) for number, each in enumerate((before, after))]
-    return Pair(*scans, changes)
+    return Pair(scans[0], scans[1], changes)
 
 
 @dataclasses.dataclass(frozen=True)

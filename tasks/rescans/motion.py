@@ -77,8 +77,9 @@ def motion_between(old: ScannedObject, new: ScannedObject) -> Motion:
         starts.append(turn)
     fits = [_laid(lifted, target, start) for start in starts]
     best = min(error for _, error in fits)
-    good = [pose for pose, error in fits if error <= _MARGIN * best + _STILL_M]
-    pose = min(good, key=lambda each: (round(abs(yaw_of(each)), 3), float(np.linalg.norm(each[:2, 3]))))
+    good = [(pose, error) for pose, error in fits if error <= _MARGIN * best + _STILL_M]
+    least = min((yaw_of(pose) for pose, _ in good), key=lambda yaw: (round(abs(yaw), 3), yaw))
+    pose = min((each for each in good if abs(yaw_of(each[0]) - least) < np.pi / _TURNS * 2), key=lambda each: each[1])[0]
     shift = transform_points(middle[None], pose)[0] - middle + [0.0, 0.0, rise]
     return Motion(shift, yaw_of(pose))
 

@@ -77,11 +77,9 @@ def scanned(
     parts += [thing.mesh() for thing in things]
     vertices, faces = joined(parts)
     surface = Surface(transform_points(vertices, frame), faces, np.zeros((len(vertices), 3), np.uint8))
-    objects = [
-        _object(f"{number:04d}", thing, frame, np.random.default_rng([len(name), ord(name[-1]), number]))
-        for number, thing in enumerate(things)
-        if thing.is_named
-    ]
+    named = [(number, thing) for number, thing in enumerate(things) if thing.is_named]
+    rngs = [np.random.default_rng([ord(name[-1]), number]) for number, _ in named]
+    objects = [_object(f"{number:04d}", thing, frame, rng) for (number, thing), rng in zip(named, rngs, strict=True)]
     return room_of_surface(name, surface, objects, np.random.default_rng(7))
 
 
