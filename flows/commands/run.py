@@ -111,8 +111,8 @@ def carry_out(plan: Plan, store: Lake, configuration: Configuration, **parameter
         from flows.run.scene import settle
 
         settle(store, plan)  # what an interrupted run had finished and not yet committed
-        found = report_of(plan, broken=broken_checks(store, {scene.scan.scene_id for scene in plan.scenes}))
-        return with_rescans(found, store, plan, configuration, parameters.get("workers") or 1, bool(parameters.get("retry_failed")))
+        unchanged = report_of(plan, broken=broken_checks(store, {scene.scan.scene_id for scene in plan.scenes}))
+        return with_rescans(unchanged, store, plan, configuration, parameters.get("workers") or 1, bool(parameters.get("retry_failed")))
     from flows.progress import Progress
     from flows.run.report import RunReport, kept
     from flows.server.here import result_here

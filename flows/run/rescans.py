@@ -60,7 +60,7 @@ def planned_rescans(lake: Lake, scenes: Collection[str], configuration: Configur
     from tasks.pipeline import MODULES
 
     config = configuration.stages[STAGE]
-    told, code = canonical_json(config), code_fingerprint(MODULES[STAGE])
+    settings_json, code = canonical_json(config), code_fingerprint(MODULES[STAGE])
     history = lake.history({scene for room in rooms for scene in room})
     todo, known = [], []
     for room in rooms:
@@ -73,7 +73,7 @@ def planned_rescans(lake: Lake, scenes: Collection[str], configuration: Configur
         for place in range(1, len(captured)):
             chosen = [captured[place], *reversed(captured[max(0, place - config.earlier) : place])]
             upstream = tuple(f"{CAPTURE}@{scene}={prints[scene]}" for scene in chosen)
-            fingerprint = digest("rescans-1", told, code, str(configuration.seed), *upstream)
+            fingerprint = digest("rescans-1", settings_json, code, str(configuration.seed), *upstream)
             state = history.get((chosen[0], STAGE))
             if state is not None and state.done is not None and state.done.fingerprint == fingerprint:
                 continue
@@ -83,8 +83,8 @@ def planned_rescans(lake: Lake, scenes: Collection[str], configuration: Configur
                 continue
             todo.append(
                 Job(
-                    lake=lake.address, scene_id=chosen[0], stage=STAGE, config=config, config_json=told, seed=configuration.seed,
-                    fingerprint=fingerprint, reasons=(f"config={digest(told)}", f"code={code}", f"seed={configuration.seed}"),
+                    lake=lake.address, scene_id=chosen[0], stage=STAGE, config=config, config_json=settings_json, seed=configuration.seed,
+                    fingerprint=fingerprint, reasons=(f"config={digest(settings_json)}", f"code={code}", f"seed={configuration.seed}"),
                     upstream=upstream, attempt=state.last.attempt + 1 if state is not None and is_again else 1,
                     outside=(("rescanned_rooms", tuple(chosen)),),
                 )
@@ -100,7 +100,7 @@ def rescanned(lake: Lake, scenes: Collection[str]) -> list[list[str]]:
     for row in lake.snapshot().matching("scenes", {}, ["room_id", "scan_format"]).to_pylist():
         if row["scan_format"] in SCAN_FORMATS:
             rooms[row["room_id"]].append(row["scene_id"])
-    return [sorted(found) for _, found in sorted(rooms.items()) if len(found) > 1 and not set(scenes).isdisjoint(found)]
+    return [sorted(room) for _, room in sorted(rooms.items()) if len(room) > 1 and not set(scenes).isdisjoint(room)]
 
 
 def computed(lake: Lake, jobs: Collection[Job], processes: int) -> list[StageRun]:

@@ -11,7 +11,7 @@ from tasks.geometry.transforms import flat
 from tasks.rescans.configuration import RescansConfig
 from tasks.rescans.matching import MatchedObject, matched, placed
 from tasks.rescans.registration import Registration, registration
-from tasks.rescans.surfaces import ScannedRoom, scanned_room
+from tasks.rescans.surfaces import RoomScan, scanned_room
 from tasks.stage import Context, Outcome, Stage
 
 __all__ = ["STAGE", "RescansConfig", "run"]
@@ -33,45 +33,45 @@ def run(
     later, *earlier = (scanned_room(rows[name], inside[name], context.blobs, context.rng("surface", name)) for name in rescanned_rooms)
     rescans, objects, notes = [], [], []
     for reference in earlier:
-        found = registration(later, reference, config.registration)
-        rescans.append(_row(rows[later.scene_id], reference, found))
-        if found.problem:
-            notes.append(f"{later.scene_id} does not fit onto {reference.scene_id}, which has its room id: {found.problem}")
+        fit = registration(later, reference, config.registration)
+        rescans.append(_row(rows[later.scene_id], reference, fit))
+        if fit.problem:
+            notes.append(f"{later.scene_id} does not fit onto {reference.scene_id}, which has its room id: {fit.problem}")
             continue
-        changes = matched(placed(later, found.pose), reference, config.matching)
+        changes = matched(placed(later, fit.pose), reference, config.matching)
         objects += [_object_row(later, reference, number, each) for number, each in enumerate(changes)]
     return Outcome(rescans=rescans, rescan_objects=objects, degradations=notes)
 
 
-def _row(scene: Scene, reference: ScannedRoom, found: Registration) -> Rescan:
+def _row(scene: Scene, reference: RoomScan, fit: Registration) -> Rescan:
     return Rescan(
         scene_id=scene.scene_id,
         reference_scene_id=reference.scene_id,
         room_id=scene.room_id,
-        outcome="refused" if found.problem else "registered",
-        problem=found.problem or None,
-        pose=None if found.problem else flat(found.pose),
-        wall_share=found.wall_share,
-        object_share=found.object_share,
-        conflict_share=found.conflict_share,
+        outcome="refused" if fit.problem else "registered",
+        problem=fit.problem or None,
+        pose=None if fit.problem else flat(fit.pose),
+        wall_share=fit.wall_share,
+        object_share=fit.object_share,
+        conflict_share=fit.conflict_share,
     )
 
 
-def _object_row(later: ScannedRoom, reference: ScannedRoom, number: int, found: MatchedObject) -> RescanObject:
-    motion, known = found.motion, found.later or found.reference
+def _object_row(later: RoomScan, reference: RoomScan, number: int, matching: MatchedObject) -> RescanObject:
+    motion, known = matching.motion, matching.later or matching.reference
     assert known is not None
     return RescanObject(
         scene_id=later.scene_id,
         reference_scene_id=reference.scene_id,
         number=number,
-        change=found.change,
-        instance_id=found.later.instance_id if found.later is not None else None,
-        reference_instance_id=found.reference.instance_id if found.reference is not None else None,
+        change=matching.change,
+        instance_id=matching.later.instance_id if matching.later is not None else None,
+        reference_instance_id=matching.reference.instance_id if matching.reference is not None else None,
         category=known.category,
         shift=None if motion is None else tuple(float(value) for value in motion.shift),
         distance_m=None if motion is None else motion.distance_m,
         turn_radians=None if motion is None else motion.turn_radians,
-        seen_share=found.seen_share,
+        seen_share=matching.seen_share,
     )
 
 

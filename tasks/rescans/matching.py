@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from schemas.rescans import Change
 from tasks.geometry.transforms import transform_points
 from tasks.rescans.configuration import MatchingConfig
-from tasks.rescans.motion import Motion, motion_between, shares_in_place
-from tasks.rescans.surfaces import ScannedObject, ScannedRoom
+from tasks.rescans.motion import ObjectMotion, motion_between, shares_in_place
+from tasks.rescans.surfaces import RoomScan, ScannedObject
 
 Array = NDArray[np.float64]
 
@@ -52,11 +52,11 @@ class MatchedObject:
     change: Change
     reference: ScannedObject | None
     later: ScannedObject | None
-    motion: Motion | None = None
+    motion: ObjectMotion | None = None
     seen_share: float | None = None
 
 
-def placed(room: ScannedRoom, pose: Array) -> ScannedRoom:
+def placed(room: RoomScan, pose: Array) -> RoomScan:
     """A scan in another frame, by the pose of its own in that one, 4x4 [m]."""
     objects = [
         dataclasses.replace(each, pose=pose @ each.pose, points=transform_points(each.points, pose)) for each in room.objects
@@ -66,25 +66,25 @@ def placed(room: ScannedRoom, pose: Array) -> ScannedRoom:
     )
 
 
-def matched(room: ScannedRoom, reference: ScannedRoom, config: MatchingConfig) -> list[MatchedObject]:
+def matched(room: RoomScan, reference: RoomScan, config: MatchingConfig) -> list[MatchedObject]:
     """What became of every object of two scans, both in the frame of the reference: those of the reference first, then those added."""
     pairs = _paired(room.objects, reference.objects, config)
-    found = []
+    rows = []
     for index, old in enumerate(reference.objects):
         if index in pairs:
             new = room.objects[pairs[index]]
             is_part = max(shares_in_place(old.points, new.points)) >= _PART
-            motion = Motion(np.zeros(3), 0.0) if is_part else motion_between(old, new)
+            motion = ObjectMotion(np.zeros(3), 0.0) if is_part else motion_between(old, new)
             is_same = motion.distance_m < config.moved_m and abs(motion.turn_radians) < config.turned_radians
-            found.append(MatchedObject("unchanged" if is_same else "moved", old, new, motion))
+            rows.append(MatchedObject("unchanged" if is_same else "moved", old, new, motion))
         else:
             change, seen = _alone(old, room, "removed", config)
-            found.append(MatchedObject(change, old, None, seen_share=seen))
+            rows.append(MatchedObject(change, old, None, seen_share=seen))
     for index, new in enumerate(room.objects):
         if index not in pairs.values():
             change, seen = _alone(new, reference, "added", config)
-            found.append(MatchedObject(change, None, new, seen_share=seen))
-    return found
+            rows.append(MatchedObject(change, None, new, seen_share=seen))
+    return rows
 
 
 def _paired(later: Sequence[ScannedObject], earlier: Sequence[ScannedObject], config: MatchingConfig) -> dict[int, int]:
@@ -126,7 +126,7 @@ def _fits(old: Array, new: Array, config: MatchingConfig) -> bool:
     return bool((np.abs(first - second) <= np.maximum(config.size_m, config.size_share * np.maximum(first, second))).all())
 
 
-def _alone(lost: ScannedObject, other: ScannedRoom, change: Change, config: MatchingConfig) -> tuple[Change, float]:
+def _alone(lost: ScannedObject, other: RoomScan, change: Change, config: MatchingConfig) -> tuple[Change, float]:
     """What an object is that the other scan has no counterpart of, and the share of its place that that scan saw."""
     seen = _seen_share(lost, other)
     if seen < config.seen_share:
@@ -136,7 +136,7 @@ def _alone(lost: ScannedObject, other: ScannedRoom, change: Change, config: Matc
     return change, seen
 
 
-def _still_share(lost: ScannedObject, other: ScannedRoom) -> float:
+def _still_share(lost: ScannedObject, other: RoomScan) -> float:
     """Share of an object's surface, above what it stands on, that another scan shows as well, whatever that is said to be of."""
     from scipy.spatial import cKDTree
 
@@ -149,7 +149,7 @@ def _still_share(lost: ScannedObject, other: ScannedRoom) -> float:
     return float(((away < near) & (distance < _ON_M + near)).mean())
 
 
-def _seen_share(lost: ScannedObject, other: ScannedRoom) -> float:
+def _seen_share(lost: ScannedObject, other: RoomScan) -> float:
     """Share of an object's cells in plan of whose place another scan shows what is below; of what hangs, what is behind or beside it."""
     bottom, top = float(lost.points[:, 2].min()), float(lost.points[:, 2].max())
     height = other.points[:, 2]

@@ -38,7 +38,7 @@ _MOST = 400
 
 
 @dataclasses.dataclass(frozen=True)
-class Motion:
+class ObjectMotion:
     """From the earlier to the later scan. shift: Of the middle of the object [m], shape (3,); turn_radians: about +Z, in (-pi, pi]."""
 
     shift: Array
@@ -58,7 +58,7 @@ def shares_in_place(first: Array, second: Array) -> tuple[float, float]:
     return float((there < _NEAR_M).mean()), float((back < _NEAR_M).mean())
 
 
-def motion_between(old: ScannedObject, new: ScannedObject) -> Motion:
+def motion_between(old: ScannedObject, new: ScannedObject) -> ObjectMotion:
     """How an object went from one place to another, both in one frame.
 
     Where it is in place it is laid onto itself as it is; else from every side, and of turns that fit as well the smallest counts.
@@ -81,7 +81,7 @@ def motion_between(old: ScannedObject, new: ScannedObject) -> Motion:
     least = min((yaw_of(pose) for pose, _ in good), key=lambda yaw: (round(abs(yaw), 3), yaw))
     pose = min((each for each in good if abs(yaw_of(each[0]) - least) < np.pi / _TURNS * 2), key=lambda each: each[1])[0]
     shift = transform_points(middle[None], pose)[0] - middle + [0.0, 0.0, rise]
-    return Motion(shift, yaw_of(pose))
+    return ObjectMotion(shift, yaw_of(pose))
 
 
 def _few(points: Array) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tasks.geometry.transforms import transform_points, yaw_pose
 from tasks.rescans.configuration import RegistrationConfig
-from tasks.rescans.surfaces import ScannedRoom
+from tasks.rescans.surfaces import RoomScan
 
 Array = NDArray[np.float64]
 
@@ -56,18 +56,18 @@ class Registration:
     problem: str
 
 
-def registration(room: ScannedRoom, reference: ScannedRoom, config: RegistrationConfig) -> Registration:
+def registration(room: RoomScan, reference: RoomScan, config: RegistrationConfig) -> Registration:
     """The best of all ways to lay a scan onto a reference by a turn about +Z and a shift in plan: both frames have their floor at z = 0."""
     starts = correlated(room, reference, config)
-    found = [measured(refined(room, reference, start), room, reference, config) for start in starts]
-    return max(found, key=lambda each: (not each.problem, _score(each)))
+    fits = [measured(refined(room, reference, start), room, reference, config) for start in starts]
+    return max(fits, key=lambda each: (not each.problem, _score(each)))
 
 
-def _score(found: Registration) -> float:
-    return found.wall_share + (found.object_share or 0.0) - found.conflict_share
+def _score(fit: Registration) -> float:
+    return fit.wall_share + (fit.object_share or 0.0) - fit.conflict_share
 
 
-def correlated(room: ScannedRoom, reference: ScannedRoom, config: RegistrationConfig) -> list[Array]:
+def correlated(room: RoomScan, reference: RoomScan, config: RegistrationConfig) -> list[Array]:
     """Poses, 4x4 [m], at which the plans of two scans agree best, best first: walls with walls and objects with objects."""
     from scipy.ndimage import gaussian_filter
 
@@ -97,7 +97,7 @@ def correlated(room: ScannedRoom, reference: ScannedRoom, config: RegistrationCo
     return [yaw_pose(yaw, [*(offset - yaw_pose(yaw)[:2, :2] @ _middle(room)), 0.0]) for yaw, offset in chosen]
 
 
-def _middle(room: ScannedRoom) -> Array:
+def _middle(room: RoomScan) -> Array:
     return 0.5 * (room.points[:, :2].min(axis=0) + room.points[:, :2].max(axis=0))
 
 
@@ -115,7 +115,7 @@ def _plan(points: Array, low: Array, shape: tuple[int, ...]) -> Array:
     return np.sqrt(plan.reshape(shape))
 
 
-def refined(room: ScannedRoom, reference: ScannedRoom, pose: Array) -> Array:
+def refined(room: RoomScan, reference: RoomScan, pose: Array) -> Array:
     """A pose, 4x4 [m], after ICP in plan, from points to planes; what moved is left out by its distance."""
     from scipy.spatial import cKDTree
 
@@ -155,7 +155,7 @@ def _plane_step(moved: Array, tree: Any, points: Array, normals: Array, cut: flo
     return step
 
 
-def measured(pose: Array, room: ScannedRoom, reference: ScannedRoom, config: RegistrationConfig) -> Registration:
+def measured(pose: Array, room: RoomScan, reference: RoomScan, config: RegistrationConfig) -> Registration:
     """How well a scan fits onto a reference at a pose, 4x4 [m]."""
     points = transform_points(room.points, pose)
     walls = _shares(points[room.is_wall], reference.points[reference.is_wall])
@@ -179,14 +179,14 @@ def _shares(first: Array, second: Array) -> tuple[float, float] | None:
 
     if not len(first) or not len(second):
         return None
-    one, other = (
+    there, back = (
         float((cKDTree(to).query(points, distance_upper_bound=_NEAR_M)[0] < _NEAR_M).mean())
         for points, to in ((first, second), (second, first))
     )
-    return one, other
+    return there, back
 
 
-def _conflict(points: Array, room: ScannedRoom, reference: ScannedRoom) -> float:
+def _conflict(points: Array, room: RoomScan, reference: RoomScan) -> float:
     """The larger share of either's walls, in cells of the plan, that stand on floor that the other saw bare."""
     both = np.concatenate([points[:, :2], reference.points[:, :2]])
     low = both.min(axis=0) - CELL_M
@@ -200,7 +200,7 @@ def _conflict(points: Array, room: ScannedRoom, reference: ScannedRoom) -> float
 
 
 def _walls_and_floor(
-    points: Array, room: ScannedRoom, low: Array, shape: tuple[int, ...]
+    points: Array, room: RoomScan, low: Array, shape: tuple[int, ...]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # fmt: skip
     """Cells of the plan in which a wall stands, and those that lie on floor with bare floor all around."""
     from scipy.ndimage import binary_erosion

@@ -44,7 +44,7 @@ class ScannedObject:
 
 
 @dataclasses.dataclass(frozen=True)
-class ScannedRoom:
+class RoomScan:
     """A scan in its own world frame, +Z up, floor at z = 0.
 
     points [m] and normals, shape (n, 3) each, of the whole surface, a voxel each; is_loose: those that are some object's, shape (n,).
@@ -67,7 +67,7 @@ class ScannedRoom:
         return self.is_steep & ~self.is_loose
 
 
-def scanned_room(scene: Scene, instances: Sequence[Instance], blobs: Mapping[str, bytes], rng: np.random.Generator) -> ScannedRoom:
+def scanned_room(scene: Scene, instances: Sequence[Instance], blobs: Mapping[str, bytes], rng: np.random.Generator) -> RoomScan:
     """A scan as capture left it in the lake.
 
     Raises:
@@ -83,7 +83,7 @@ def scanned_room(scene: Scene, instances: Sequence[Instance], blobs: Mapping[str
     return room_of_surface(scene.scene_id, surface, objects, rng)
 
 
-def room_of_surface(scene_id: str, surface: Surface, objects: Sequence[ScannedObject], rng: np.random.Generator) -> ScannedRoom:
+def room_of_surface(scene_id: str, surface: Surface, objects: Sequence[ScannedObject], rng: np.random.Generator) -> RoomScan:
     """A scan of a surface and the objects in it, world frame."""
     from scipy.spatial import cKDTree
 
@@ -94,7 +94,7 @@ def room_of_surface(scene_id: str, surface: Surface, objects: Sequence[ScannedOb
     is_loose = np.zeros(len(points), bool)
     if objects:
         is_loose = cKDTree(np.concatenate([each.points for each in objects])).query(points, distance_upper_bound=_OWN_M)[0] <= _OWN_M
-    return ScannedRoom(scene_id, points, normals, is_loose, tuple(objects))
+    return RoomScan(scene_id, points, normals, is_loose, tuple(objects))
 
 
 def thinned(points: Array, normals: Array, spacing: float) -> tuple[Array, Array]:

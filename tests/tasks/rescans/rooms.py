@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tasks.geometry.meshes import Surface, sample_surface
 from tasks.geometry.transforms import transform_points, yaw_pose
-from tasks.rescans.surfaces import OBJECT_SPACING_M, ScannedObject, ScannedRoom, room_of_surface, thinned
+from tasks.rescans.surfaces import OBJECT_SPACING_M, RoomScan, ScannedObject, room_of_surface, thinned
 from tests.capture_scans import box_plates, plate
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ FIXED = (
 def scanned(
     name: str, things: Sequence[Thing], size: tuple[float, float] = SIZE, frame: Array | None = None, walls: Sequence[int] = (0, 1, 2, 3),
     floor: tuple[float, float] | None = None,
-) -> ScannedRoom:  # fmt: skip
+) -> RoomScan:  # fmt: skip
     """A scan of a room with things in it, in a frame: pose of the room in it, 4x4 [m]. walls: Those that were seen; floor: how much of it
     was, from the corner on."""
     frame = np.eye(4) if frame is None else frame

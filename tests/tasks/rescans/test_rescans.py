@@ -15,7 +15,7 @@ from tasks.geometry.transforms import inverse, yaw_of, yaw_pose
 from tasks.rescans.configuration import MatchingConfig, RegistrationConfig
 from tasks.rescans.matching import MatchedObject, matched, placed
 from tasks.rescans.registration import Registration, registration
-from tasks.rescans.surfaces import ScannedRoom, thinned
+from tasks.rescans.surfaces import RoomScan, thinned
 from tests.tasks.rescans.rooms import FIXED, SIZE, Thing, box, chair, scanned
 
 LAMP = box("lamp", "lamp", (4.1, 2.8, 0.0), (0.3, 0.3, 1.5))
@@ -24,7 +24,7 @@ BEFORE = (*FIXED, chair("moved", (1.2, 2.4, 0.0), 0.0), LAMP)
 AFTER = (*FIXED, chair("moved", (3.2, 1.6, 0.0), 2.0), BOX)
 
 
-def held(later: ScannedRoom, earlier: ScannedRoom) -> tuple[Registration, list[MatchedObject]]:
+def held(later: RoomScan, earlier: RoomScan) -> tuple[Registration, list[MatchedObject]]:
     """How one scan lies in another, and what became of their objects."""
     found = registration(later, earlier, RegistrationConfig())
     return found, [] if found.problem else matched(placed(later, found.pose), earlier, MatchingConfig())

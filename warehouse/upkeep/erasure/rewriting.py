@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from schemas.tables import TABLES
 from warehouse.lake import Lake
 from warehouse.questions.quoting import listed, literal, quoted
-from warehouse.tables.adoption import SCENE_STAGES
+from warehouse.tables.adoption import SCENE_STAGES, WHOLE_STAGES
 from warehouse.tables.datafiles import data_files, write_files
 from warehouse.upkeep.erasure.traces import Traces
 from warehouse.upkeep.references import columns_of, parquet
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _BATCH_ROWS = 32_768
 
-NO_BATCH_STAGES = (*SCENE_STAGES, *sorted({table.stage for table in TABLES.values() if table.grain == "library"}))
+NO_BATCH_STAGES = (*SCENE_STAGES, *sorted(WHOLE_STAGES))
 """Stages whose runs are of no batch: a scene, or a library, may be called as one is."""
 
 

@@ -48,7 +48,7 @@ class ScannedAgain:
 
 
 @dataclasses.dataclass(frozen=True)
-class Pair:
+class RescannedPair:
     """Two scans of a room, and what is true of each object that was changed, by its name."""
 
     earlier: ScannedAgain
@@ -97,25 +97,25 @@ def _elsewhere(room: FurnishedRoom, obj: Furnishing, rng: np.random.Generator) -
 def scanned(room: FurnishedRoom, folder: Path, scan: str, rng: np.random.Generator) -> ScannedAgain:
     """A room, scanned in a frame of its own and captured."""
     truth = scan_scene(room, folder, scan, dataclasses.replace(LIGHT, axis_alignment=False), rng)
-    found = find_scans(folder / scan)[0][0]
-    outcome = capture(scan=found, context=Context(found.scene_id, "capture", 0, Blobs()), config=CaptureConfig())
+    scan_found = find_scans(folder / scan)[0][0]
+    outcome = capture(scan=scan_found, context=Context(scan_found.scene_id, "capture", 0, Blobs()), config=CaptureConfig())
     names = {str(obj.object_id): obj.name for obj in truth.objects if obj.object_id is not None}
     return ScannedAgain(outcome.rows["scenes"][0], outcome.rows["instances"], outcome.blobs, names, truth)
 
 
-def generated_pair(index: int, seed: int) -> Pair:
+def generated_pair(index: int, seed: int) -> RescannedPair:
     """Two scans of generated room number `index`."""
     rng = np.random.default_rng([seed, 22, index])
     room = furnish(ROOM_TYPES[index % len(ROOM_TYPES)], rng, object_count=20, clutter=0.2)
     before, after, changes = changed(room, rng)
     with tempfile.TemporaryDirectory(prefix="rescans-", ignore_cleanup_errors=True) as folder:
         scans = [scanned(each, Path(folder), f"scene{index:04d}_0{number}", rng) for number, each in enumerate((before, after))]
-    return Pair(scans[0], scans[1], changes)
+    return RescannedPair(scans[0], scans[1], changes)
 
 
 @dataclasses.dataclass(frozen=True)
 class PairFigures:
-    """Of one pair. found, missed, false: Changes by kind; unnamed: changed objects that one of the scans does not name.
+    """Of one pair. right, missed, false: Changes by kind; unnamed: changed objects that one of the scans does not name.
 
     turn_degrees, shift_m: Of the pose against the true one, over the floor. far_m: Largest error of a move's distance.
     """
@@ -124,7 +124,7 @@ class PairFigures:
     outcome: str
     turn_degrees: float
     shift_m: float
-    found: Mapping[str, int]
+    right: Mapping[str, int]
     missed: Mapping[str, int]
     false: Mapping[str, int]
     unnamed: int
@@ -147,7 +147,7 @@ def held(earlier: ScannedAgain, later: ScannedAgain) -> tuple[Rescan, list[Resca
     return outcome.rows["rescans"][0], outcome.rows["rescan_objects"], time.perf_counter() - clock
 
 
-def figures(pair: Pair) -> PairFigures:
+def figures(pair: RescannedPair) -> PairFigures:
     """What was found of the changes of a pair."""
     row, objects, seconds = held(pair.earlier, pair.later)
     numbers = [{each.instance_id: scan.names.get(each.source_id, "") for each in scan.instances} for scan in (pair.earlier, pair.later)]
@@ -156,7 +156,7 @@ def figures(pair: Pair) -> PairFigures:
         name: kind for name, kind in pair.changes.items()
         if (kind == "added" or name in known[0]) and (kind == "removed" or name in known[1])
     }  # fmt: skip
-    found, false, far, notes = Counter[str](), Counter[str](), 0.0, []
+    right, false, far, notes = Counter[str](), Counter[str](), 0.0, []
     left = dict(expected)
     for each in objects:
         if each.change not in CHANGED:
@@ -165,7 +165,7 @@ def figures(pair: Pair) -> PairFigures:
         name = old or new
         is_one = each.change != "moved" or old == new
         if is_one and left.get(name) == each.change:
-            found[left.pop(name)] += 1
+            right[left.pop(name)] += 1
             if each.change == "moved" and each.distance_m is not None:
                 far = max(far, abs(each.distance_m - _distance(pair, name)))
         else:
@@ -175,12 +175,12 @@ def figures(pair: Pair) -> PairFigures:
     states = Counter(each.change for each in objects)
     turn, shift = _off(row, pair)
     return PairFigures(
-        row.scene_id, row.outcome, turn, shift, dict(found), dict(Counter(left.values())), dict(false), len(pair.changes) - len(expected),
+        row.scene_id, row.outcome, turn, shift, dict(right), dict(Counter(left.values())), dict(false), len(pair.changes) - len(expected),
         states["unchanged"], states["not_seen"] + states["unnamed"], far, seconds, tuple(notes),
     )  # fmt: skip
 
 
-def _distance(pair: Pair, name: str) -> float:
+def _distance(pair: RescannedPair, name: str) -> float:
     """How far an object's box was moved."""
     places = []
     for each in (pair.earlier, pair.later):
@@ -189,7 +189,7 @@ def _distance(pair: Pair, name: str) -> float:
     return float(np.linalg.norm(places[1] - places[0]))
 
 
-def _off(row: Rescan, pair: Pair) -> tuple[float, float]:
+def _off(row: Rescan, pair: RescannedPair) -> tuple[float, float]:
     """Turn [degrees] and shift in the middle of the room [m] by which a pose is off."""
     if row.pose is None:
         return float("nan"), float("nan")
@@ -207,18 +207,18 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=6)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    sums = {"found": Counter[str](), "missed": Counter[str](), "false": Counter[str]()}
+    sums = {"right": Counter[str](), "missed": Counter[str](), "false": Counter[str]()}
     earlier: list[ScannedAgain] = []
     for index in range(options.pairs):
         pair = generated_pair(index, options.seed)
         earlier.append(pair.earlier)
-        told = figures(pair)
-        print(json.dumps(dataclasses.asdict(told)), flush=True)
+        measured = figures(pair)
+        print(json.dumps(dataclasses.asdict(measured)), flush=True)
         for key, counter in sums.items():
-            counter.update(getattr(told, key))
-    others = [(a, b) for i, a in enumerate(earlier) for b in earlier[:i]]
-    refused = [held(a, b)[0].outcome == "refused" for a, b in others]
-    print(json.dumps({key: dict(counter) for key, counter in sums.items()} | {"other_rooms": len(others), "refused": sum(refused)}))
+            counter.update(getattr(measured, key))
+    other_rooms = [(a, b) for i, a in enumerate(earlier) for b in earlier[:i]]
+    refused = [held(a, b)[0].outcome == "refused" for a, b in other_rooms]
+    print(json.dumps({key: dict(counter) for key, counter in sums.items()} | {"other_rooms": len(other_rooms), "refused": sum(refused)}))
 
 
 if __name__ == "__main__":
