@@ -9,11 +9,15 @@ from pathlib import Path
 import pytest
 
 from bench.stages import run_stages
+from flows.commands.run import report_line
 from flows.run.configuration import configure
-from flows.run.rescans import computed, planned_rescans, rescanned
+from flows.run.plan import make_plan
+from flows.run.report import report_of
+from flows.run.rescans import computed, planned_rescans, rescanned, with_rescans
 from schemas.capture import Scene
 from schemas.rescans import Rescan, RescanObject
 from schemas.runs import StageRun
+from tasks.capture.formats import find_scans
 from tests.samples import fingerprint, sample, stage_run
 from tests.scans import write_scan
 from warehouse.lake import Lake
@@ -128,6 +132,19 @@ def test_what_failed_is_said_again_and_not_computed(lake: Lake) -> None:
     assert [run.error for run in planned.known] == ["no"]
     again = planned_rescans(lake, {A}, configure(), retry_failed=True)
     assert [(job.scene_id, job.attempt) for job in again.todo] == [(B, 2), (C, 1)]
+
+
+def test_a_run_tells_what_could_not_be_held_and_the_next_one_that_it_knew(lake: Lake, tmp_path: Path) -> None:
+    write_scan(tmp_path / "scans", "scene0001_01")
+    configuration = configure()
+    plan = make_plan(lake, *find_scans(tmp_path / "scans"), configuration)
+    report = with_rescans(report_of(plan), lake, plan, configuration, 1)
+    assert [line.split(": ")[:2] for line in report.failures] == [[B, "rescans"], [C, "rescans"]]  # their mesh is none
+    assert (report.known, report.rescans, report.steps) == ((), (), 0)
+    again = with_rescans(report_of(plan), lake, plan, configuration, 1)
+    assert again.known == again.failures == report.failures
+    assert pairs(lake) == [(B, A), (C, B)], "what is there stays"
+    assert "2 failed" in report_line(again)
 
 
 CHAIR = ("chair", (0.9, 2.3, 0.45), (0.5, 0.5, 0.9), (90, 60, 40))
