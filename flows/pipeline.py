@@ -36,6 +36,7 @@ from flows.run.parameters import Address, StageTables
 from flows.run.patience import patiently
 from flows.run.plan import Plan, ScenePlan, make_plan, planned_again
 from flows.run.report import RunReport, broken_checks, keep, report_of
+from flows.run.rescans import with_rescans
 from flows.run.scene import STAGE_SECONDS, SceneResult, settle
 from flows.scans.choice import found_scans, settled
 from flows.server.artifacts import Board, committed, flow_run_name, run_log, task_run_name
@@ -278,7 +279,8 @@ def replicate(
             return planned_again(store, scene, configuration, retry)
 
         coordinator = Coordinator(plan, store, configuration, fan_out, replan, retry_failed=retry_failed)
-        return _carry_out(plan, store, coordinator, scans, dataset, fan_out, began)
+        report = _carry_out(plan, store, coordinator, scans, dataset, fan_out, began)
+        return with_rescans(report, store, plan, configuration, fan_out.workers, retry_failed)
 
     report = patiently(once)
     keep(report)

@@ -34,6 +34,7 @@ from tasks.models import Model
 from tasks.stage import Context, Outcome, Stage, silently
 from warehouse.lake import Lake
 from warehouse.release.licenses import with_licenses_of_scans
+from warehouse.tables.history import parse_elsewhere
 from warehouse.tables.reviews import standing_answers
 from warehouse.tables.snapshot import Reader
 
@@ -150,6 +151,8 @@ def _computed(stage: Stage, job: Job, lake: Lake, spread: Spread, report: Report
     """Inputs in, and `run`."""
     fingerprints = dict(part.split("=", 1) for part in job.upstream)
     inputs: dict[str, Any] = dict(job.outside)
+    if stage.grain == "rescan":
+        inputs |= _of_several(stage, lake, job)
     for table in stage.reads:
         if table in inputs:  # a batch brings the rows of the scenes that it names
             continue
@@ -263,6 +266,24 @@ def _rows(lake: Lake, table: str, scene_id: str, fingerprint: str | None) -> lis
     sharing = _still_there(lake.rows_of(spec.shared_by, scene_id, fingerprint), table, scene_id)
     names = sorted({getattr(row, spec.key[0]) for row in sharing} - {None})
     return list(lake.snapshot().rows_by_key(spec.record, names))
+
+
+def _of_several(stage: Stage, lake: Lake, job: Job) -> dict[str, list[Any]]:
+    """Rows of all scenes that the job's upstream names, by table, each as the run with its fingerprint gave them.
+
+    Raises:
+        RowsGone: they were replaced.
+    """
+    named = parse_elsewhere(job.upstream)
+    return {
+        table: [
+            row
+            for (scene, name), fingerprint in named.items()
+            if name == TABLES[table].stage
+            for row in _rows(lake, table, scene, fingerprint)
+        ]
+        for table in stage.reads
+    }
 
 
 def _still_there(rows: list[Any] | None, table: str, scene_id: str) -> list[Any]:

@@ -20,7 +20,7 @@ import pyarrow as pa
 from schemas.errors import RecordError
 
 Grain = Literal[
-    "scene", "room", "asset", "library", "annotation_batch", "trajectory_batch", "drive_batch", "dataset", "comparison", "lake"
+    "scene", "room", "rescan", "asset", "library", "annotation_batch", "trajectory_batch", "drive_batch", "dataset", "comparison", "lake"
 ]  # fmt: skip
 WriteRule = Literal["replace", "append", "share"]
 
@@ -130,8 +130,8 @@ class Table:
 
 
 _OWNERS: dict[Grain, str] = {
-    "scene": "scene_id", "library": "library", "annotation_batch": "batch_id", "trajectory_batch": "batch_id", "drive_batch": "batch_id",
-    "dataset": "training_id", "comparison": "comparison_id",
+    "scene": "scene_id", "rescan": "scene_id", "library": "library", "annotation_batch": "batch_id", "trajectory_batch": "batch_id",
+    "drive_batch": "batch_id", "dataset": "training_id", "comparison": "comparison_id",
 }  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from tasks import (
     micro_scenes,
     navigation,
     optimization,
+    rescans,
     robot,
     selection,
     training,
@@ -23,6 +24,7 @@ from tasks.stage import Stage
 
 STAGES: tuple[Stage, ...] = (
     capture.STAGE,
+    rescans.STAGE,
     captions.STAGE,
     indexing.STAGE,
     candidates.STAGE,

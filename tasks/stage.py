@@ -66,7 +66,8 @@ def _forgetful() -> Caches:
 class Context:
     """What a run may know besides its inputs: whose it is, the seed, and the blobs that its input rows name.
 
-    `scene_id` is the batch for stages that work on batches, the library for the one that makes libraries. `caches` remember, between
+    `scene_id` is the batch for stages that work on batches, the library for the one that makes libraries, the later scan for the one that
+    holds scans of a room against each other. `caches` remember, between
     runs and stages, what costs much and follows from content alone, one for every module that computes such values
     (`caches["tasks.geometry.pieces"]`): a key must name everything that its value depends on but the module's own code.
     `spread(function, items)` is the list of the function's values, in the order of the items, computed in other processes where cores
@@ -123,6 +124,7 @@ OutsideInput = Literal[
     "provenance",
     "model",
     "compared_batches",
+    "rescanned_rooms",
 ]
 
 
@@ -142,7 +144,7 @@ class Stage:
     writes: tuple[str, ...]
     config: type
     run: Callable[..., Outcome]
-    grain: Literal["scene", "library", "annotation_batch", "trajectory_batch", "drive_batch", "dataset", "comparison"] = "scene"
+    grain: Literal["scene", "rescan", "library", "annotation_batch", "trajectory_batch", "drive_batch", "dataset", "comparison"] = "scene"
     outside: tuple[OutsideInput, ...] = ()
     history: tuple[str, ...] = ()
     streams: tuple[str, ...] = ()

@@ -43,7 +43,9 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     scan_list, unusable = find_scans(out / "scans", "auto", "demo")
     configuration = configure(seed=seed)
     plan = make_plan(lake, scan_list, unusable, configuration)
-    report = carry_out(plan, lake, scans=str(out / "scans"), lake=str(out / "lake"), dataset="demo", workers=workers, seed=seed)
+    report = carry_out(
+        plan, lake, configuration, scans=str(out / "scans"), lake=str(out / "lake"), dataset="demo", workers=workers, seed=seed
+    )
     replicated = time.perf_counter() - clock - scanned
     policies = POLICIES if lake.snapshot().arrow("episodes").num_rows else ()
     unmeasured = [line for policy in policies for line in run_policy(lake, policy, configuration).failed]

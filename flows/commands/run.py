@@ -16,6 +16,7 @@ from flows.run.fanout.runners import RUNNERS
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from flows.run.configuration import Configuration
     from flows.run.plan import Plan
     from flows.run.report import RunReport
     from warehouse.lake import Lake
@@ -88,7 +89,7 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
         print(json.dumps(_plan_json(plan)) if as_json else _plan_text(plan))
         return
     report = carry_out(
-        plan, lake, scans=scans, lake=address, format=scan_format, dataset=dataset, workers=workers,
+        plan, lake, configuration, scans=scans, lake=address, format=scan_format, dataset=dataset, workers=workers,
         library=str(library) if library else None, seed=seed, config_file=str(config_file) if config_file else None,
         settings=list(settings), retry_failed=retry_failed, again=again, scenes=list(scenes), first=first, last=last, since=since,
         until=until, links_into=list(links_into), runner=runner, dask_address=dask_address, batch=batch, keep_free_gb=keep_free_gb,
@@ -101,15 +102,17 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
         raise click.exceptions.Exit(1)
 
 
-def carry_out(plan: Plan, store: Lake, **parameters: Any) -> RunReport:
+def carry_out(plan: Plan, store: Lake, configuration: Configuration, **parameters: Any) -> RunReport:
     """Run `flows.pipeline.replicate` in this process; Prefect and its server start only when there is something to compute."""
     from flows.run.report import broken_checks, report_of
 
     if not plan.todo:
+        from flows.run.rescans import with_rescans
         from flows.run.scene import settle
 
         settle(store, plan)  # what an interrupted run had finished and not yet committed
-        return report_of(plan, broken=broken_checks(store, {scene.scan.scene_id for scene in plan.scenes}))
+        unchanged = report_of(plan, broken=broken_checks(store, {scene.scan.scene_id for scene in plan.scenes}))
+        return with_rescans(unchanged, store, plan, configuration, parameters.get("workers") or 1, bool(parameters.get("retry_failed")))
     from flows.progress import Progress
     from flows.run.report import RunReport, kept
     from flows.server.here import result_here
@@ -156,7 +159,7 @@ def tell(report: RunReport) -> None:
 
 def report_line(report: RunReport) -> str:
     """A run's report in a line."""
-    if not (report.done or report.failed or report.failures or report.shared or report.postponed):
+    if not (report.done or report.failed or report.failures or report.shared or report.postponed or report.rescans):
         return f"nothing to do: {len(report.unchanged)} scenes are up to date{_other_names(report.same)}"
     parts = [f"{len(report.done)} scenes done"]
     if failed := len(report.failures) - len(report.broken):
@@ -168,6 +171,8 @@ def report_line(report: RunReport) -> str:
         parts.append(_other_names(report.same).removeprefix(", "))
     if report.shared:
         parts.append(f"{len(report.shared)} computed by another run")
+    if report.rescans:
+        parts.append(f"{len(report.rescans)} held against earlier scans of their rooms")
     if report.postponed:
         parts.append(f"{len(report.postponed)} postponed")
     parts.append(f"{report.steps} stage runs")

@@ -143,7 +143,15 @@ class _Watcher:
         ready = found_scans(self.scans, self.format, self.dataset, scenes=scenes, links_into=parameters["links_into"])
         plan = make_plan(lake, *ready, configuration)
         report = carry_out(
-            plan, lake, scans=self.scans, lake=lake.address, format=self.format, dataset=self.dataset, scenes=scenes, **parameters
+            plan,
+            lake,
+            configuration,
+            scans=self.scans,
+            lake=lake.address,
+            format=self.format,
+            dataset=self.dataset,
+            scenes=scenes,
+            **parameters,
         )
         return watch_report(
             latest,

@@ -21,7 +21,8 @@ class RunReport:
     `shared` scenes were computed by another run meanwhile. `postponed` ones were not begun, for the reason in `stopped`.
     `known` failures are those of earlier runs on unchanged input; `retried` says which workers were lost. `broken` are those
     failures that are checks which an export did not pass: its scene is done all the same. `same`: scans that are scenes of another
-    name, by the names that they were given under; what came of them is told under the scene's.
+    name, by the names that they were given under; what came of them is told under the scene's. `rescans` are scenes that were held
+    against an earlier scan of their room.
     """
 
     done: tuple[str, ...]
@@ -37,6 +38,7 @@ class RunReport:
     retried: tuple[str, ...] = ()
     broken: tuple[str, ...] = ()
     same: dict[str, str] = dataclasses.field(default_factory=dict)
+    rescans: tuple[str, ...] = ()
 
 
 def broken_checks(lake: Lake, scenes: Collection[str] | None = None) -> dict[str, tuple[str, ...]]:

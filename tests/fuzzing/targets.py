@@ -39,7 +39,7 @@ def _outside_inputs() -> list[Target]:
     from tasks.pipeline import STAGES
 
     # scans have formats; the others are rows and models of a lake
-    own = ("scan", "batch_acts", "dataset", "start", "provenance", "compared_batches", "drive_batch")
+    own = ("scan", "batch_acts", "dataset", "start", "provenance", "compared_batches", "drive_batch", "rescanned_rooms")
     names = {name for stage in STAGES for name in stage.outside if name not in own}
     names |= {"verdict_batch", "label_studio_batch", "cvat_batch"}  # what acts are made from
     return [Target(name.removesuffix("_batch"), PARSER, getattr(seeds, name), globals()[f"_read_{name}"]) for name in sorted(names)]

@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 
 from schemas.runs import StageRun
 from schemas.tables import TABLES
-from warehouse.tables.history import Key, StageState, fingerprints, order, upstream_of
+from warehouse.tables.history import Key, StageState, fingerprints, order, read_elsewhere, upstream_of
 from warehouse.tables.staging import StagedRun
 
 STAGES: tuple[str, ...] = tuple(dict.fromkeys(table.stage for table in TABLES.values() if table.stage))
@@ -25,6 +25,10 @@ SCENE_STAGES: tuple[str, ...] = tuple(stage for stage, grain in _REPLACED.items(
 
 WHOLE_STAGES = frozenset(_REPLACED) - {*SCENE_STAGES}
 """Stages whose rows belong to something else, and take the place of all that it had: of several staged runs the last counts."""
+
+
+ACROSS_STAGES = frozenset(stage for stage, grain in _REPLACED.items() if grain == "rescan")
+"""Those of them that read rows of several scenes: they are adopted and withdrawn by what they read, as those of one scene are."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +85,11 @@ def plan(current: Mapping[Key, StageState], staged: Sequence[StagedRun], removed
             elif key in prints and (scene in removed or not _is_current(_done(current, key), prints)):
                 withdrawn.append(_done(current, key))
                 del prints[key]
+    left += [whole.pop(key) for key, staged_run in list(whole.items()) if _is_outdated(staged_run.run, prints, None)]
+    known = {scene for scene, _ in current}
+    for key, state in current.items():
+        if key[1] in ACROSS_STAGES and key not in whole and state.done is not None and _is_outdated(state.done, prints, known):
+            withdrawn.append(state.done)
     return CommitPlan((*adopted.values(), *whole.values(), *adopted_batches), tuple(recorded), tuple(withdrawn), tuple(left))
 
 
@@ -143,6 +152,16 @@ def _staged_order(staged_run: StagedRun) -> tuple[object, ...]:
 def _is_current(run: StageRun, prints: Mapping[Key, str]) -> bool:
     """Whether all that a run read is what the snapshot being built holds."""
     return all(prints.get((run.scene_id, stage)) == fingerprint for stage, fingerprint in upstream_of(run, SCENE_STAGES).items())
+
+
+def _is_outdated(run: StageRun, prints: Mapping[Key, str], known: Collection[str] | None) -> bool:
+    """Whether a run read rows of several scenes of which the snapshot being built does not hold some; of scenes that are `known`, if
+    given: of others nobody has looked."""
+    return any(
+        prints.get((scene, stage)) != fingerprint
+        for (scene, stage), fingerprint in read_elsewhere(run).items()
+        if known is None or scene in known
+    )
 
 
 def _done(current: Mapping[Key, StageState], key: Key) -> StageRun:

@@ -19,10 +19,10 @@ from schemas.runs import Snapshot, StageRun
 from schemas.tables import TABLES
 from warehouse.sharing.lease import Lease
 from warehouse.sharing.writer import this_writer, writer_of
-from warehouse.tables.adoption import CommitPlan, committed_rows, now_utc, plan, without_faults
+from warehouse.tables.adoption import ACROSS_STAGES, CommitPlan, committed_rows, now_utc, plan, without_faults
 from warehouse.tables.calls import PendingCalls, merged
 from warehouse.tables.delta import DeltaTables, TableWriter, nullable
-from warehouse.tables.history import Key, StageState, base_of, states
+from warehouse.tables.history import Key, StageState, base_of, read_elsewhere, states
 from warehouse.tables.staging import StagedRun, Staging
 
 _ADOPTED = "adopted"
@@ -146,8 +146,17 @@ class Commit:
     def _read_states(self, scenes: Collection[str]) -> None:
         """Take in what was run on these scenes so far."""
         table = TABLES["stage_runs"]
-        self._states = states(self._tables.read(table, self._base_files(table), only={"scene_id": scenes}))
+        self._states = states(self._tables.read(table, self._base_files(table), only={"scene_id": {*scenes, *self._beside(scenes)}}))
         self._done = {key for key, state in self._states.items() if state.done is not None}
+
+    def _beside(self, scenes: Collection[str]) -> set[str]:
+        """Scenes that were held against others of these, or these against them: what was said of both goes with either."""
+        runs = [staged_run.run for staged_run in self._staging.runs() if staged_run.run.stage in ACROSS_STAGES]
+        if any(table.stage in ACROSS_STAGES and table.name in self._base.versions for table in TABLES.values()):
+            table = TABLES["stage_runs"]
+            runs += arrow_to_rows(self._tables.read(table, self._base_files(table), only={"stage": ACROSS_STAGES}), StageRun)
+        named = [{run.scene_id, *(scene for scene, _ in read_elsewhere(run))} for run in runs]
+        return {scene for group in named if not group.isdisjoint(scenes) for scene in group}
 
     def _base_files(self, table: Table) -> list[str]:
         """Files of a table in the version that the commit starts from."""

@@ -115,6 +115,17 @@ def upstream_of(run: StageRun, stages: Sequence[str]) -> dict[str, str]:
     return {stage: fingerprint for stage, fingerprint in pairs if stage in stages}
 
 
+def read_elsewhere(run: StageRun) -> dict[Key, str]:
+    """Fingerprints of what a run read of several scenes, by (scene, stage)."""
+    return parse_elsewhere(run.upstream)
+
+
+def parse_elsewhere(upstream: Sequence[str]) -> dict[Key, str]:
+    """The same, of the entries of an upstream that name a scene: `<stage>@<scene>=<fingerprint>`."""
+    pairs = (entry.split("=", 1) for entry in upstream if "@" in entry and "=" in entry)
+    return {(place.partition("@")[2], place.partition("@")[0]): fingerprint for place, fingerprint in pairs}
+
+
 def base_of(run: StageRun) -> str | None:
     """Scene that the scene of a run is based on, as its reasons have it; None for all that are not."""
     return next((reason.removeprefix(BASED_ON) for reason in run.reasons if reason.startswith(BASED_ON)), None)

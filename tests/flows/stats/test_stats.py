@@ -270,7 +270,7 @@ def test_a_scene_that_is_not_in_the_snapshot_is_refused(lake: Lake) -> None:
         picture_scene_of(lake, 1, "demo/nowhere", SMALL)
 
 
-TIMED = [stage for stage in STAGES if stage not in ("annotation", "training", "evaluation", "robot", "comparison", "indexing")]
+TIMED = [stage for stage in STAGES if stage not in ("annotation", "training", "evaluation", "robot", "comparison", "indexing", "rescans")]
 """Stages of which the lake of these tests has runs."""
 
 
@@ -347,7 +347,7 @@ def test_the_command_refuses_an_unknown_release(lake: Lake, tmp_path: Path) -> N
 def test_the_command_gives_stage_times_as_json_in_the_order_of_the_data_path(lake: Lake) -> None:
     rows = json.loads(metascenes("stats", "--lake", lake.address, "--stages", "--json").output)
     assert [row["stage"] for row in rows] == [
-        stage for stage in STAGES if stage not in ("annotation", "training", "evaluation", "robot", "comparison", "indexing")
+        stage for stage in STAGES if stage not in ("annotation", "training", "evaluation", "robot", "comparison", "indexing", "rescans")
     ]
     assert rows[0]["total_seconds"] == 2.0
 

@@ -362,7 +362,8 @@ def _settle_batches(lake: Lake, lease: Lease, scene_id: str) -> None:
         if staged_run.run.stage not in SCENE_STAGES:
             for path in staged_run.files.values():
                 data = lake.staging.read(path)
-                if "scene_id" in data.column_names and scene_id in data.column("scene_id").to_pylist():
+                named = [name for name in ("scene_id", "reference_scene_id") if name in data.column_names]
+                if any(scene_id in data.column(name).to_pylist() for name in named):
                     batches.add(staged_run.run.scene_id)
     if batches:
         commit.run("", scenes=batches)

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from schemas.tables import TABLES
 from warehouse.lake import Lake
 from warehouse.questions.quoting import listed, literal, quoted
-from warehouse.tables.adoption import SCENE_STAGES
+from warehouse.tables.adoption import SCENE_STAGES, WHOLE_STAGES
 from warehouse.tables.datafiles import data_files, write_files
 from warehouse.upkeep.erasure.traces import Traces
 from warehouse.upkeep.references import columns_of, parquet
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _BATCH_ROWS = 32_768
 
-NO_BATCH_STAGES = (*SCENE_STAGES, *sorted({table.stage for table in TABLES.values() if table.grain == "library"}))
+NO_BATCH_STAGES = (*SCENE_STAGES, *sorted(WHOLE_STAGES))
 """Stages whose runs are of no batch: a scene, or a library, may be called as one is."""
 
 
@@ -64,6 +64,8 @@ class SceneRows:
         parts = ["false"]
         if "scene_id" in columns:
             parts.append(f"scene_id = {literal(self._scene)}")
+        if "reference_scene_id" in columns:
+            parts.append(f"reference_scene_id = {literal(self._scene)}")
         if self.batches and "batch_id" in columns:
             parts.append(f"batch_id IN {_list(self.batches)}")
         if self.batches and table == "stage_runs":
@@ -164,6 +166,7 @@ class SceneRows:
             return pc.is_in(batch.column(column), value_set=pa.array(sorted(values), pa.string()))
 
         gone = pc.or_(also("scene_id", [self._scene]), also("batch_id", self.batches))
+        gone = pc.or_(gone, also("reference_scene_id", [self._scene]))
         if table == "stage_runs":
             gone = pc.or_(gone, pc.and_(also("scene_id", self.batches), pc.invert(also("stage", NO_BATCH_STAGES))))
         return pc.or_(gone, also(TABLES[table].key[0], shared)) if shared else gone
