@@ -177,6 +177,8 @@ ELSEWHERE = {
     "tasks/library/indexing.py library": "who offers what is indexed",
     "tasks/lineage/words.py library": "where a candidate was found",
     "warehouse/lineage/libraries.py library": "as above",
+    "schemas/capture.py refined": "whose a pose is",
+    "tasks/capture/poses/provider.py refined": "as above",
     "warehouse/upkeep/erasure/rewriting.py library": "the grain of tables: rows of a library of models",
 }
 """Where a word that is a member's name stands outside of the member's own modules, and what it means there."""

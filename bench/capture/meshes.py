@@ -148,8 +148,8 @@ def bare_room(folder: Path, index: int, seed: int) -> BareRoom:
 def score_now(room: BareRoom) -> MeshScore:
     """What this code finds in a room's mesh."""
     clock = time.perf_counter()
-    found, pose = found_in(room.mesh, room.vertices)
-    return _scored(room, found, pose, time.perf_counter() - clock)
+    region, pose = found_in(room.mesh, room.vertices)
+    return _scored(room, region, pose, time.perf_counter() - clock)
 
 
 def found_in(path: Path, vertices: Array) -> tuple[Indices, Array]:
@@ -161,11 +161,11 @@ def found_in(path: Path, vertices: Array) -> tuple[Indices, Array]:
     reading = format_of(scan).read(scan)
     assert reading.surface is not None
     pose = align(reading.surface).pose
-    found = np.full(len(reading.surface.vertices), -1, dtype=np.int64)
+    region = np.full(len(reading.surface.vertices), -1, dtype=np.int64)
     groups = geometry_instances(reading.surface.transformed(pose), SegmentationConfig(), reading.materials).groups
     for number, group in enumerate(group for group in groups if group.raw_label not in ROOM):
-        found[group.vertices] = number
-    return found[cKDTree(reading.surface.vertices).query(vertices)[1]], pose
+        region[group.vertices] = number
+    return region[cKDTree(reading.surface.vertices).query(vertices)[1]], pose
 
 
 def score_former(room: BareRoom, scan: FormerScan) -> MeshScore:
@@ -178,26 +178,26 @@ def score_former(room: BareRoom, scan: FormerScan) -> MeshScore:
     return _scored(room, place[scan.owner], scan.pose, scan.seconds)
 
 
-def _scored(room: BareRoom, found: Indices, pose: Array, seconds: float) -> MeshScore:
-    score = mesh_score(room.owner, found, np.ones(len(found)), room.counted)
-    share = np.bincount(found[found >= 0], weights=room.areas[found >= 0]).max(initial=0.0) / room.areas.sum()
+def _scored(room: BareRoom, region: Indices, pose: Array, seconds: float) -> MeshScore:
+    score = mesh_score(room.owner, region, np.ones(len(region)), room.counted)
+    share = np.bincount(region[region >= 0], weights=room.areas[region >= 0]).max(initial=0.0) / room.areas.sum()
     degrees = float(np.rad2deg(np.arccos(np.clip(pose[2, :3] @ matrix(room.truth.alignment)[2, :3], -1.0, 1.0))))
     off = abs(float(np.median(transform_points(room.vertices[room.floor], pose)[:, 2])))  # where the scan has it: drift moves all of it
     return dataclasses.replace(score, largest=float(share), degrees=degrees, off_m=off, seconds=seconds)
 
 
-def mesh_score(owner: Indices, found: Indices, weights: Array, counted: Indices) -> MeshScore:
+def mesh_score(owner: Indices, region: Indices, weights: Array, counted: Indices) -> MeshScore:
     """Regions against objects, by the weight of points. owner: Object of each point, -1 for nobody's, which say nothing, shape (n,). found:
     Region of each, -1 for none, shape (n,). counted: Objects that count."""
-    regions, objects = int(found.max(initial=-1)) + 1, int(owner.max(initial=-1)) + 1
+    regions, objects = int(region.max(initial=-1)) + 1, int(owner.max(initial=-1)) + 1
     known = owner >= 0
-    keys = owner[known] * (regions + 1) + np.where(found[known] >= 0, found[known], regions)
+    keys = owner[known] * (regions + 1) + np.where(region[known] >= 0, region[known], regions)
     table = np.bincount(keys, weights=weights[known], minlength=objects * (regions + 1)).reshape(objects, regions + 1)
     shared = table[counted][:, :regions]
     sizes = table[counted].sum(axis=1)
     overlap = shared / np.maximum(sizes[:, None] + table[:, :regions].sum(axis=0)[None, :] - shared, 1e-12)
     pieces = (shared >= PIECE * np.maximum(sizes, 1e-12)[:, None]).sum(axis=1)
-    largest = float(np.bincount(found[found >= 0], weights=weights[found >= 0]).max(initial=0.0) / weights.sum())
+    largest = float(np.bincount(region[region >= 0], weights=weights[region >= 0]).max(initial=0.0) / weights.sum())
     return MeshScore(
         len(counted), regions, matches(overlap, 0.5), matches(overlap, 0.25), int((pieces > MOST_REGIONS).sum()), largest, None, None, 0.0
     )
@@ -214,11 +214,11 @@ def score_house(path: Path) -> MeshScore:
     seconds = time.perf_counter() - clock
     names = [str(part.metadata["name"]).split("|")[0] for part in load_glb(path.read_bytes()) for _ in part.faces]
     named, owner = np.unique(names, return_inverse=True)
-    found = np.full(len(surface.faces), -1, dtype=np.int64)
+    region = np.full(len(surface.faces), -1, dtype=np.int64)
     for number, group in enumerate(group for group in groups if group.raw_label not in ROOM):
-        found[group.faces] = number
+        region[group.faces] = number
     counted = np.array([k for k, name in enumerate(named) if "Wall" not in name and "Floor" not in name], dtype=np.int64)
-    return dataclasses.replace(mesh_score(owner, found, face_areas(surface.vertices, surface.faces), counted), seconds=seconds)
+    return dataclasses.replace(mesh_score(owner, region, face_areas(surface.vertices, surface.faces), counted), seconds=seconds)
 
 
 def _sum(scores: Sequence[MeshScore]) -> MeshScore:

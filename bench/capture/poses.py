@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.capture.frames import write_scan
-from bench.capture.walks import Walk, drifted, walk
+from bench.capture.walks import FilmedWalk, drifted, walk
 from bench.goals import goal
 from schemas.errors import InputError
 from tasks.capture.formats import find_scans
@@ -78,26 +78,26 @@ def measured(room: str, seed: int, frames: int, provider: Open3DPoses) -> list[P
             started = time.perf_counter()
             reading, _ = with_poses(_reading(Path(name) / given), PosesConfig(provider), given)
             seconds = time.perf_counter() - started
-            found = np.array([np.full((4, 4), np.nan) if frame.pose is None else frame.pose for frame in reading.frames])
-            is_posed = np.isfinite(found).all(axis=(1, 2))
+            estimate = np.array([np.full((4, 4), np.nan) if frame.pose is None else frame.pose for frame in reading.frames])
+            is_posed = np.isfinite(estimate).all(axis=(1, 2))
             rows.append(
                 PoseFigures(
-                    room, seed, given, len(found), filmed.length_m, int(is_posed.sum()),
-                    None if poses is None else error_m(filmed.poses, poses), error_m(filmed.poses[is_posed], found[is_posed]),
+                    room, seed, given, len(estimate), filmed.length_m, int(is_posed.sum()),
+                    None if poses is None else error_m(filmed.poses, poses), error_m(filmed.poses[is_posed], estimate[is_posed]),
                     pose_fit(reading.frames).misfit_m, None if poses is None else _f_score(filmed, sources, poses),
-                    _f_score(filmed, reading.frames, found), best, seconds,
+                    _f_score(filmed, reading.frames, estimate), best, seconds,
                 )
             )  # fmt: skip
     return rows
 
 
 def _reading(folder: Path) -> Any:
-    (scan,), errors = find_scans(folder, "posed_rgbd")
+    (scan,), errors = find_scans(folder)
     assert not errors
     return read_scan(scan)
 
 
-def _sources(filmed: Walk, poses: Array | None, folder: Path) -> tuple[FrameSource, ...]:
+def _sources(filmed: FilmedWalk, poses: Array | None, folder: Path) -> tuple[FrameSource, ...]:
     """Frames of a walk as a folder has them, with these poses or none."""
     own = filmed.poses if poses is None else poses
     write_scan(folder, [dataclasses.replace(view, pose=pose) for view, pose in zip(filmed.views, own, strict=True)])
@@ -107,15 +107,15 @@ def _sources(filmed: Walk, poses: Array | None, folder: Path) -> tuple[FrameSour
     return frames
 
 
-def error_m(true: Array, found: Array) -> float:
+def error_m(true: Array, estimate: Array) -> float:
     """Root of the mean square distance of camera places, shapes (n, 4, 4), after the rigid motion that makes it least [m]."""
-    a, b = true[:, :3, 3], found[:, :3, 3]
+    a, b = true[:, :3, 3], estimate[:, :3, 3]
     u, _, vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     return float(np.sqrt((((b - b.mean(0)) @ turn.T - (a - a.mean(0))) ** 2).sum(axis=1).mean()))
 
 
-def _f_score(filmed: Walk, frames: Sequence[FrameSource], poses: Array) -> float:
+def _f_score(filmed: FilmedWalk, frames: Sequence[FrameSource], poses: Array) -> float:
     """F-score of the surface that frames fuse to, moved to where its cameras should be, against what they saw."""
     from scipy.spatial import cKDTree
 

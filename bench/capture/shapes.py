@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bench.dwellings import make_scan
 from schemas.files import write_whole
 from tasks.capture.files.ply import read_ply
-from tasks.capture.instances.naming import FEATURES, SHAPES_FILE, UNKNOWN, NamingConfig, ShapeName, named_among
+from tasks.capture.instances.naming import FEATURES, SHAPES_FILE, UNKNOWN, ShapeName, ShapeNamingConfig, named_among
 from tasks.capture.instances.segmentation import SegmentationConfig, found_shapes
 from tasks.furniture import canonical_category
 from tasks.furniture.dwellings import dwelling
@@ -68,7 +68,7 @@ def table_of(rows: Iterable[Row]) -> bytes:
     return text.getvalue().encode()
 
 
-def held_out(rooms: Sequence[Sequence[Row]], config: NamingConfig) -> list[tuple[str, ShapeName]]:
+def held_out(rooms: Sequence[Sequence[Row]], config: ShapeNamingConfig) -> list[tuple[str, ShapeName]]:
     """What each region truly is, and what it is called by the shapes of all other rooms."""
     answers = []
     for place, room in enumerate(rooms):
@@ -84,7 +84,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="shapes-") as folder:
         rooms = [room_shapes(seed, number, Path(folder, str(seed))) for seed, number in ROOMS]
     write_whole(SHAPES_FILE, table_of(row for room in rooms for row in room))
-    print_answers(held_out(rooms, NamingConfig()))
+    print_answers(held_out(rooms, ShapeNamingConfig()))
 
 
 def print_answers(answers: Sequence[tuple[str, ShapeName]]) -> None:

@@ -28,7 +28,7 @@ REFERENCE_M = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
-class Walk:
+class FilmedWalk:
     """views: Frames with their true poses, world frame, depth with a sensor's noise. surface: What they see, without noise [m], shape
     (n, 3)."""
 
@@ -46,7 +46,7 @@ class Walk:
         return float(np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=1).sum())
 
 
-def walk(room_type: str, seed: int, frames: int) -> Walk:
+def walk(room_type: str, seed: int, frames: int) -> FilmedWalk:
     """The first so many frames of a walk through a furnished room. The same seed walks the same way."""
     rng = np.random.default_rng(seed)
     config = ScannerConfig()
@@ -67,7 +67,7 @@ def walk(room_type: str, seed: int, frames: int) -> Walk:
         points = rays[near, :3].astype(np.float64) + depth[near, None] * rays[near, 3:]
         seen = np.concatenate([seen, points])
         seen = seen[voxel_first(seen, REFERENCE_M)]
-    return Walk(tuple(views), seen)
+    return FilmedWalk(tuple(views), seen)
 
 
 def _filmed(views: list[Array], frames: int) -> list[Array]:
@@ -122,14 +122,14 @@ def drifted(poses: Array, share: float, rng: np.random.Generator) -> Array:
     lean, pull = lean / np.linalg.norm(lean), pull / np.linalg.norm(pull)
 
     def off(size: float) -> Array:
-        found = [poses[0]]
+        poses_off = [poses[0]]
         for step in steps:
             error = np.eye(4)
             way = float(np.linalg.norm(step[:3, 3])) + 0.1 * STEP_M
             error[:3, :3] = Rotation.from_rotvec(lean * size * way * 0.15).as_matrix()
             error[:3, 3] = pull * size * way
-            found.append(found[-1] @ step @ error)
-        return np.array(found)
+            poses_off.append(poses_off[-1] @ step @ error)
+        return np.array(poses_off)
 
     low, high = 0.0, 1.0
     for _ in range(40):

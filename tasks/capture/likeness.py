@@ -85,7 +85,11 @@ def _names(folder: Path) -> Iterator[str]:
         if not left:
             return
     for place in folders_in(folder):
-        for path in place.iterdir():
+        try:
+            inside = list(place.iterdir())
+        except OSError:  # said of the folder itself, by who looks into it
+            continue
+        for path in inside:
             yield f"{place.name}/{path.name}"
             left -= 1
             if not left:

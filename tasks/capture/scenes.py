@@ -99,10 +99,10 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     world = surface.transformed(alignment.pose)
     groups, probabilities = reading.groups, {}
     if groups is None:
-        found = geometry_instances(world, config.segmentation, reading.materials)
-        found = voted_groups(world, found, reading.frames, alignment.pose, config.segmentation.naming, config.votes)
-        groups, probabilities = found.groups, found.probabilities
-        notes += found.notes
+        by_surface = geometry_instances(world, config.segmentation, reading.materials)
+        by_frames = voted_groups(world, by_surface, reading.frames, alignment.pose, config.segmentation.naming, config.votes)
+        groups, probabilities = by_frames.groups, by_frames.probabilities
+        notes += by_frames.notes
         meanings = [labels[NAMELESS if (name := group.raw_label.partition(":")[2]) == UNKNOWN else name] for group in groups]
     blobs = Blobs()
     solids = _solids(reading, world, groups, context, config)

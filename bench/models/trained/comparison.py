@@ -16,7 +16,7 @@ from bench.models.lifting import lifting_figures
 from bench.models.tabletops import SupportWord, Tabletop, tabletop
 from bench.models.trained.fitting import TrainedConfig, fitted_network
 from bench.models.trained.photographs import photographed_tables
-from bench.models.trained.scoring import FrameScore, FrameTruth, harmonic, lead, precision_recall, score
+from bench.models.trained.scoring import SupportScore, SupportTruth, harmonic, lead, precision_recall, score
 from bench.models.trained.seeing import WIDTH, seen_masks, thinned
 from bench.models.withheld import Finder, withheld_figures
 from tasks.capture.small_objects.additions import board_of
@@ -112,7 +112,7 @@ class ScoredFrame:
 
     view: DepthView
     slabs: tuple[SupportSlab, ...]
-    truth: FrameTruth
+    truth: SupportTruth
 
 
 def frames_by_title(scenes: int, seed: int, realdata: Path | None) -> dict[str, list[ScoredFrame]]:
@@ -135,12 +135,12 @@ def _frames(top: Tabletop, group: str) -> list[ScoredFrame]:
     for number, view in enumerate(top.views):
         masks, own = top.masks(number)
         counted = masks.sum(axis=(1, 2)) >= LEAST_PIXELS
-        truth = FrameTruth(masks, tuple(top.words[index] for index in own), counted, view.depth > 0, group)
+        truth = SupportTruth(masks, tuple(top.words[index] for index in own), counted, view.depth > 0, group)
         frames.append(ScoredFrame(view, _slabs(top), truth))
     return frames
 
 
-def scored(masks: Masks, frames: Sequence[ScoredFrame]) -> tuple[list[FrameScore], float]:
+def scored(masks: Masks, frames: Sequence[ScoredFrame]) -> tuple[list[SupportScore], float]:
     """Scores of frames, and seconds of a processor that masks took."""
     scores, seconds = [], 0.0
     for frame in frames:
@@ -151,7 +151,7 @@ def scored(masks: Masks, frames: Sequence[ScoredFrame]) -> tuple[list[FrameScore
     return scores, seconds
 
 
-def figures_of(scores: Sequence[FrameScore]) -> dict[str, Any]:
+def figures_of(scores: Sequence[SupportScore]) -> dict[str, Any]:
     """Shares at both overlaps, and of matched pairs those of one word."""
     precision, recall = precision_recall(scores)
     matched = sum(each.matched for each in scores)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.capture.drawn import IGNORED, Drawing, drawings, read_drawing
-from bench.models.trained.scoring import FrameTruth
+from bench.models.trained.scoring import SupportTruth
 from schemas.errors import InputError
 from tasks.capture.files.documents import read_json
 from tasks.capture.files.images import read_color, read_depth
@@ -47,7 +47,7 @@ class PhotographedTable:
     name: str
     view: DepthView
     slab: SupportSlab
-    truth: FrameTruth
+    truth: SupportTruth
 
 
 def photographed_tables(root: Path) -> list[PhotographedTable]:
@@ -101,7 +101,7 @@ def _table(drawing: Drawing, view: DepthView, labels: NDArray[np.int32], board: 
     own = [(mask & measured).sum() for mask in masks]
     counted = [pixels >= LEAST_PIXELS and (mask & above).sum() >= OVER_SHARE * pixels for mask, pixels in zip(masks, own, strict=True)]
     words = tuple(drawing.objects[number - 1].category for number in numbers)
-    truth = FrameTruth(masks, words, np.array(counted, dtype=bool), measured & (labels != IGNORED), drawing.frame)
+    truth = SupportTruth(masks, words, np.array(counted, dtype=bool), measured & (labels != IGNORED), drawing.frame)
     return PhotographedTable(name, posed, slab, truth)
 
 

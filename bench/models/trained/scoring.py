@@ -21,7 +21,7 @@ DRAWS = 2000
 
 
 @dataclasses.dataclass(frozen=True)
-class FrameTruth:
+class SupportTruth:
     """What a frame shows. masks: Shape (n, h, w). words: Of each. counted: Which have to be found, shape (n,); who finds another one makes
     no error. care: Pixels that count, shape (h, w). group: Frames of one scene are no independent evidence."""
 
@@ -33,7 +33,7 @@ class FrameTruth:
 
 
 @dataclasses.dataclass(frozen=True)
-class FrameScore:
+class SupportScore:
     """Of one frame. true: Objects that have to be found. seen: Masks, but for those of other objects. matched, exact: Pairs of the two that
     overlap by `LEAST_IOU` and by `EXACT_IOU`. named: Matched pairs of one word."""
 
@@ -45,7 +45,7 @@ class FrameScore:
     named: int
 
 
-def score(truth: FrameTruth, seen: FrameMasks) -> FrameScore:
+def score(truth: SupportTruth, seen: FrameMasks) -> SupportScore:
     """Masks of a frame held against the truth, each one in one pair at most."""
     from scipy.optimize import linear_sum_assignment
 
@@ -58,7 +58,7 @@ def score(truth: FrameTruth, seen: FrameMasks) -> FrameScore:
     best = overlap.argmax(axis=0) if overlap.size else np.zeros(0, dtype=np.int64)
     spare = [not truth.counted[i] and overlap[i, j] > 0 for j, i in enumerate(best)]
     named = sum(truth.words[i] == seen.labels[j] for i, j in pairs[0])
-    return FrameScore(truth.group, int(truth.counted.sum()), len(seen.masks) - int(sum(spare)), len(pairs[0]), len(pairs[1]), named)
+    return SupportScore(truth.group, int(truth.counted.sum()), len(seen.masks) - int(sum(spare)), len(pairs[0]), len(pairs[1]), named)
 
 
 def overlaps(true: Bools, seen: Bools) -> Array:
@@ -70,18 +70,18 @@ def overlaps(true: Bools, seen: Bools) -> Array:
     return np.asarray(shared / np.maximum(a.sum(axis=1)[:, None] + b.sum(axis=1)[None] - shared, 1), dtype=np.float64)
 
 
-def harmonic(scores: Sequence[FrameScore], exact: bool = False) -> float:
+def harmonic(scores: Sequence[SupportScore], exact: bool = False) -> float:
     """F1 over frames: of all objects and masks together."""
     return _f1(_table(scores, exact).sum(axis=0))
 
 
-def precision_recall(scores: Sequence[FrameScore], exact: bool = False) -> tuple[float, float]:
+def precision_recall(scores: Sequence[SupportScore], exact: bool = False) -> tuple[float, float]:
     """Shares of masks that are an object's, and of objects that have a mask."""
     matched, true, seen = _table(scores, exact).sum(axis=0)
     return float(matched / max(seen, 1)), float(matched / max(true, 1))
 
 
-def lead(first: Sequence[FrameScore], second: Sequence[FrameScore], seed: int) -> tuple[float, float, float]:
+def lead(first: Sequence[SupportScore], second: Sequence[SupportScore], seed: int) -> tuple[float, float, float]:
     """F1 of the first less that of the second on the same frames, and the ends of its interval of 95 %: groups of frames are drawn with
     repetition, for both at once."""
     groups = sorted({each.group for each in first})
@@ -93,7 +93,7 @@ def lead(first: Sequence[FrameScore], second: Sequence[FrameScore], seed: int) -
     return harmonic(first) - harmonic(second), float(low), float(high)
 
 
-def _table(scores: Sequence[FrameScore], exact: bool = False) -> NDArray[np.int64]:
+def _table(scores: Sequence[SupportScore], exact: bool = False) -> NDArray[np.int64]:
     """Matched, true and seen, shape (frames, 3)."""
     return np.array([(each.exact if exact else each.matched, each.true, each.seen) for each in scores], dtype=np.int64).reshape(-1, 3)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.instances.resolution import Evened
-from tasks.capture.instances.structure import Plane
+from tasks.capture.instances.structure import RoomPlane
 from tasks.geometry.meshes import Surface
 from tasks.geometry.triangles import distinct_rows, face_areas
 
@@ -32,7 +32,7 @@ TOUCHING_M = 0.03
 """Islands of one texture that are so near touch [m]: refined edges are 5 cm apart."""
 
 
-def islands_of(even: Evened, world: Surface, planes: list[Plane], materials: Indices | None) -> tuple[list[Plane], Indices] | None:
+def islands_of(even: Evened, world: Surface, planes: list[RoomPlane], materials: Indices | None) -> tuple[list[RoomPlane], Indices] | None:
     """The planes of the room as whole islands, and the region of each vertex of the refined mesh, -1 for the room's, shape (n,).
 
     materials: Texture of each face of the scan, shape (m,); one for all without. None where the mesh is no drawing: it is one island.
@@ -60,7 +60,7 @@ def islands_of(even: Evened, world: Surface, planes: list[Plane], materials: Ind
         is_scan = float(total.max()) >= ALONE_SHARE * float(total.sum())
     if is_scan:
         return None
-    whole = [Plane(plane.category, plane.members[is_room[island[plane.members]]]) for plane in planes]
+    whole = [RoomPlane(plane.category, plane.members[is_room[island[plane.members]]]) for plane in planes]
     taken = np.zeros(count, dtype=bool)
     for plane in whole:
         taken[plane.members] = True
@@ -68,7 +68,7 @@ def islands_of(even: Evened, world: Surface, planes: list[Plane], materials: Ind
     rest = np.flatnonzero(drawn & ~taken & is_room[island])
     for k in np.unique(island[rest]).tolist():
         most = int(np.argmax([(island[plane.members] == k).sum() for plane in whole]))
-        whole[most] = Plane(whole[most].category, np.union1d(whole[most].members, rest[island[rest] == k]))
+        whole[most] = RoomPlane(whole[most].category, np.union1d(whole[most].members, rest[island[rest] == k]))
     textures = np.zeros(len(total), dtype=np.int64)
     textures[island_of_face] = texture
     textures[is_room] = -1  # what stands on one floor does not touch by it

@@ -43,7 +43,7 @@ _THIN_M = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
-class NamingConfig(Config):
+class ShapeNamingConfig(Config):
     """How shapes tell categories."""
 
     width: Positive = 0.45  # of the kernel, in deviations of each feature: told probabilities are those that come true, held out by rooms
@@ -111,12 +111,12 @@ def shape_of(points: Array, normals: Array, areas: Array) -> Array:
     return np.array([*sides, max(bottom, -0.1), bottom + height, min(level, 1.5), np.log(max(float(areas.sum()), 1e-4))])
 
 
-def name_by_shape(shape: Array, config: NamingConfig) -> ShapeName:
+def name_by_shape(shape: Array, config: ShapeNamingConfig) -> ShapeName:
     """What an instance of a shape, from `shape_of`, most probably is: by the shapes that lie near it among those of generated rooms."""
     return named_among(shape, *_shapes(), config)
 
 
-def named_among(shape: Array, names: Sequence[str], whose: Indices, shapes: Array, config: NamingConfig) -> ShapeName:
+def named_among(shape: Array, names: Sequence[str], whose: Indices, shapes: Array, config: ShapeNamingConfig) -> ShapeName:
     """The same among any shapes. names: Categories, `unknown` among them. whose: Which of them each of `shapes` has, shape (n,)."""
     scale = np.maximum(shapes.std(axis=0), 1e-9) * config.width
     weights = np.exp(-0.5 * (((shapes - shape) / scale) ** 2).sum(axis=1))

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from tasks.capture.cloud import vertex_areas
 from tasks.capture.instances.islands import islands_of
-from tasks.capture.instances.naming import PROVIDER, UNKNOWN, NamingConfig, name_by_shape, shape_of
+from tasks.capture.instances.naming import PROVIDER, UNKNOWN, ShapeNamingConfig, name_by_shape, shape_of
 from tasks.capture.instances.regions import RegionConfig, merged_regions, region_segments
 from tasks.capture.instances.resolution import Evened, evened, is_uneven
-from tasks.capture.instances.structure import FLOOR_BAND_M, SLIVER_M, Plane, outward, structure_of
+from tasks.capture.instances.structure import FLOOR_BAND_M, SLIVER_M, RoomPlane, outward, structure_of
 from tasks.capture.reading import Group, groups_of
 from tasks.geometry.meshes import Surface
 from tasks.geometry.triangles import face_areas, vertex_normals
@@ -34,7 +34,7 @@ class SegmentationConfig(Config):
     """How instances are found in a mesh that names none."""
 
     regions: RegionConfig = dataclasses.field(default_factory=RegionConfig)  # see there
-    naming: NamingConfig = dataclasses.field(default_factory=NamingConfig)  # see there
+    naming: ShapeNamingConfig = dataclasses.field(default_factory=ShapeNamingConfig)  # see there
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +54,7 @@ class _Segmented:
     even: Evened
     normals: Array
     areas: Array
-    planes: list[Plane]
+    planes: list[RoomPlane]
     region: Indices
 
     def shape(self, members: Indices) -> Array:
@@ -107,7 +107,7 @@ def _segmented(world: Surface, config: SegmentationConfig, materials: Indices | 
     return _Segmented(even, normals, areas, _with_slivers(planes, surface.vertices[:, 2], region), region)
 
 
-def _with_slivers(planes: list[Plane], z: Array, region: Indices) -> list[Plane]:
+def _with_slivers(planes: list[RoomPlane], z: Array, region: Indices) -> list[RoomPlane]:
     """The planes of the room, the floor with regions that rise no higher than `SLIVER_M`, which are no regions any more."""
     floor = next((number for number, plane in enumerate(planes) if plane.category == "floor"), None)
     if floor is None:
@@ -116,7 +116,7 @@ def _with_slivers(planes: list[Plane], z: Array, region: Indices) -> list[Plane]
     for members in low:
         region[members] = -1
     planes = list(planes)
-    planes[floor] = Plane("floor", np.unique(np.concatenate([planes[floor].members, *low])))
+    planes[floor] = RoomPlane("floor", np.unique(np.concatenate([planes[floor].members, *low])))
     kept = np.unique(region[region >= 0])
     region[region >= 0] = np.searchsorted(kept, region[region >= 0])
     return planes

@@ -66,26 +66,26 @@ CELL_M = 0.12
 
 
 @dataclasses.dataclass(frozen=True)
-class Plane:
+class RoomPlane:
     """A part of the room. category: `floor`, `ceiling` or `wall`. members: its vertices, sorted, shape (n,)."""
 
     category: str
     members: Indices
 
 
-def structure_of(points: Array, normals: Array, areas: Array) -> list[Plane]:
+def structure_of(points: Array, normals: Array, areas: Array) -> list[RoomPlane]:
     """Floor, ceiling, walls and slopes among vertices of an aligned mesh (floor at z = 0), none of them twice; what is none is left.
 
     points: World frame [m], shape (n, 3). normals: Unit, outward from matter, shape (n, 3). areas: Of each vertex [m2], shape (n,).
     """
     free = np.ones(len(points), dtype=bool)
-    planes: list[Plane] = []
+    planes: list[RoomPlane] = []
 
     def take(category: str, members: Indices) -> None:
         members = members[free[members]]
         if len(members):
             free[members] = False
-            planes.append(Plane(category, members))
+            planes.append(RoomPlane(category, members))
 
     z, up = points[:, 2], normals[:, 2]
     floor = _floor(points, normals, areas)

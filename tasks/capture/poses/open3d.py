@@ -100,15 +100,18 @@ class Open3DPoses(Config):
                 )
             size = 128 * len(frames)
             content = read_file(folder / "poses.f8", "poses.f8 of Open3D", size, remedy)
-            said = json.loads(read_file(folder / "said.json", "said.json of Open3D", 10_000, remedy))
+            summary = json.loads(read_file(folder / "said.json", "said.json of Open3D", 10_000, remedy))
         if len(content) != size:
             raise InputError(python, FIELD, f"left {len(content)} bytes for {len(frames)} poses", remedy)
         poses = np.frombuffer(content, dtype="<f8").reshape(-1, 4, 4).copy()
         for pose in poses:
             if not is_rigid(pose, 1e-6):
                 pose[:] = np.nan
-        steps, loops = f"{said['steps']} steps between {said['keys']} key frames", f"{said['kept']} of {said['loops']} closed loops kept"
-        return poses, f"Open3D {said['version']}: {steps}, {loops}"
+        steps, loops = (
+            f"{summary['steps']} steps between {summary['keys']} key frames",
+            f"{summary['kept']} of {summary['loops']} closed loops kept",
+        )
+        return poses, f"Open3D {summary['version']}: {steps}, {loops}"
 
 
 _NOT_OF_THE_SCRIPT = ("python", "always", "max_frames", "width_px", "timeout_s")

@@ -284,10 +284,10 @@ def candidates(frames: Frames, keys: list[int], nodes: np.ndarray, pieces: np.nd
         pairs += [(i, j) for _, i in sorted(shared, reverse=True)[: frames.settings["loops_per_frame"]]]
     lost = sorted({int(p) for p in pieces[1:]} - {int(pieces[0])})
     for piece in lost:
-        own, others = np.flatnonzero(pieces == piece), np.flatnonzero(pieces < piece)
+        own, before = np.flatnonzero(pieces == piece), np.flatnonzero(pieces < piece)
         if not np.isfinite(frames.given[[keys[k] for k in own]]).all():
-            step = max(1, len(others) // 12)
-            pairs += [(int(i), int(own[len(own) // 2])) for i in others[::step]]
+            step = max(1, len(before) // 12)
+            pairs += [(int(i), int(own[len(own) // 2])) for i in before[::step]]
     return pairs
 
 
@@ -358,8 +358,8 @@ def main(folder: Path) -> None:
     nodes, counts = relaxed(frames, keys, poses, piece)
     result = between(keys, nodes, poses, piece)
     result.astype("<f8").tofile(folder / "poses.f8")
-    said = {"version": o3d.__version__, "pieces": int(piece.max()) + 1, **counts}
-    (folder / "said.json").write_text(json.dumps(said))
+    summary = {"version": o3d.__version__, "pieces": int(piece.max()) + 1, **counts}
+    (folder / "said.json").write_text(json.dumps(summary))
 
 
 main(Path(sys.argv[1]))

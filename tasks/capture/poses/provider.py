@@ -54,15 +54,15 @@ def with_poses(reading: Reading, config: PosesConfig, name: str) -> tuple[Readin
     fit = pose_fit(reading.frames)
     fits = fit.misfit_m <= config.largest_misfit_m
     provider = config.provider
-    found = f"frames that see the same surface have it {100 * fit.misfit_m:.1f} cm apart, the upper quartile of {fit.pairs} pairs"
+    misfit = f"frames that see the same surface have it {100 * fit.misfit_m:.1f} cm apart, the upper quartile of {fit.pairs} pairs"
     if reading.surface is not None or not usable:
-        notes = [] if fits else [f"poses: {found}; the scan's mesh stays as it is"]
+        notes = [] if fits else [f"poses: {misfit}; the scan's mesh stays as it is"]
         return reading, notes
     if isinstance(provider, GivenPoses):
         if not is_posed:
             lost = [note for note in reading.degradations if "without a pose" in note and "(missing)" not in note]
             raise InputError(name, "poses", f"none can be used ({'; '.join(lost)})" if lost else "there are none", f"{_WRITE}; {_FIND}")
-        return reading, [] if fits else [f"poses: {found}; {_FIND}"]
+        return reading, [] if fits else [f"poses: {misfit}; {_FIND}"]
     missing = sum(reading.frames[i].pose is None for i in usable)
     if is_posed and fits and not missing and not provider.always:
         return reading, []
@@ -75,8 +75,8 @@ def with_poses(reading: Reading, config: PosesConfig, name: str) -> tuple[Readin
     after = pose_fit(frames)
     if is_posed:
         if after.misfit_m > fit.misfit_m or len(posed) < sum(reading.frames[i].pose is not None for i in chosen):
-            return reading, [f"poses: {found}; Open3D found none that fit better"]
-        notes[0] += f"; {found} before, {100 * after.misfit_m:.1f} cm after"
+            return reading, [f"poses: {misfit}; Open3D found none that fit better"]
+        notes[0] += f"; {misfit} before, {100 * after.misfit_m:.1f} cm after"
     elif after.misfit_m > config.largest_misfit_m:
         notes.append(f"poses: frames that see the same surface have it {100 * after.misfit_m:.1f} cm apart still")
     return dataclasses.replace(reading, frames=frames), notes

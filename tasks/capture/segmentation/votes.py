@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.cloud import vertex_areas
-from tasks.capture.instances.naming import PROVIDER, NamingConfig, name_by_shape, shape_of
+from tasks.capture.instances.naming import PROVIDER, ShapeNamingConfig, name_by_shape, shape_of
 from tasks.capture.instances.segmentation import GeometryInstances
 from tasks.capture.instances.views import chosen_frames
 from tasks.capture.reading import FrameSource, groups_of
@@ -79,8 +79,13 @@ def has_depth(frames: Sequence[FrameSource]) -> bool:
 
 
 def voted_groups(
-    world: Surface, by_surface: GeometryInstances, frames: Sequence[FrameSource], alignment: Array, naming: NamingConfig, config: VoteConfig
-) -> GeometryInstances:
+    world: Surface,
+    by_surface: GeometryInstances,
+    frames: Sequence[FrameSource],
+    alignment: Array,
+    naming: ShapeNamingConfig,
+    config: VoteConfig,
+) -> GeometryInstances:  # fmt: skip
     """Instances of an aligned scan: the room as its surface has it, and what frames see of the rest.
 
     by_surface: What the geometry of the surface alone shows; of that only floor, walls and ceiling are kept, and all of it where no frame

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from bench.capture.meshes import mesh_score
 from bench.capture.shapes import held_out, table_of
 from tasks.capture.cloud import vertex_areas
-from tasks.capture.instances.naming import FEATURES, UNKNOWN, NamingConfig, _shapes, name_by_shape
+from tasks.capture.instances.naming import FEATURES, UNKNOWN, ShapeNamingConfig, _shapes, name_by_shape
 from tasks.capture.instances.regions import RegionConfig, merged_regions, region_segments
 from tasks.capture.instances.resolution import evened, is_uneven, longest_edges, refined
 from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
@@ -184,7 +184,7 @@ def test_probabilities_are_of_all_names_together(number: int) -> None:
     _, _, shapes = _shapes()
     rng = np.random.default_rng(number)
     shape = shapes[number % len(shapes)] + rng.normal(0, 0.05, len(FEATURES))
-    sure, any_ = (name_by_shape(shape, NamingConfig(least=least)) for least in (0.5, 0.0))
+    sure, any_ = (name_by_shape(shape, ShapeNamingConfig(least=least)) for least in (0.5, 0.0))
     assert 0.0 <= sure.probability <= 1.0
     if any_.probability >= 0.5:
         assert sure == any_
@@ -194,7 +194,7 @@ def test_probabilities_are_of_all_names_together(number: int) -> None:
 
 
 def test_what_is_unlike_anything_is_unknown() -> None:
-    assert name_by_shape(np.full(len(FEATURES), 50.0), NamingConfig()).category == UNKNOWN
+    assert name_by_shape(np.full(len(FEATURES), 50.0), ShapeNamingConfig()).category == UNKNOWN
 
 
 def test_the_table_of_shapes_is_read_as_it_is_written() -> None:
@@ -211,7 +211,7 @@ def test_names_are_as_often_right_as_they_say_in_what_they_were_not_told_of() ->
     """Half of the shapes by the other half: of names that are told with 0.7 on average, 0.6 to 0.8 come true."""
     names, whose, shapes = _shapes()
     rows = [(names[k], shape) for k, shape in zip(whose, shapes, strict=True)]
-    answers = held_out([rows[: len(rows) // 2], rows[len(rows) // 2 :]], NamingConfig())
+    answers = held_out([rows[: len(rows) // 2], rows[len(rows) // 2 :]], ShapeNamingConfig())
     named = [(name.probability, name.category == true) for true, name in answers if name.category != UNKNOWN]
     told, right = np.mean(named, axis=0)
     assert len(named) > 40

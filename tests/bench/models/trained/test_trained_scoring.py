@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.models.trained.scoring import FrameScore, FrameTruth, harmonic, lead, overlaps, precision_recall, score
+from bench.models.trained.scoring import SupportScore, SupportTruth, harmonic, lead, overlaps, precision_recall, score
 from tasks.capture.small_objects.lifting import FrameMasks
 
 
@@ -20,29 +20,29 @@ def found(*spans: tuple[int, int], words: tuple[str, ...] = ()) -> FrameMasks:
     return FrameMasks(masks(*spans), words or ("",) * len(spans), np.ones(len(spans)))
 
 
-TRUTH = FrameTruth(
+TRUTH = SupportTruth(
     masks((0, 10), (10, 20), (20, 24)), ("mug", "book", "pen"), np.array([True, True, False]), np.ones((4, 40), dtype=bool), "a"
 )
 
 
 def test_exact_masks_are_all_right() -> None:
     exact = score(TRUTH, found((0, 10), (10, 20), (20, 24), words=("mug", "book", "pen")))
-    assert exact == FrameScore("a", 2, 2, 2, 2, 2)
+    assert exact == SupportScore("a", 2, 2, 2, 2, 2)
     assert precision_recall([exact]) == (1.0, 1.0)
     assert harmonic([exact], exact=True) == 1.0
 
 
 def test_what_need_not_be_found_is_no_error_and_what_is_nowhere_is_one() -> None:
-    assert score(TRUTH, found((0, 10), (20, 24))) == FrameScore("a", 2, 1, 1, 1, 0)
-    assert score(TRUTH, found((0, 10), (30, 36))) == FrameScore("a", 2, 2, 1, 1, 0)
-    assert score(TRUTH, found()) == FrameScore("a", 2, 0, 0, 0, 0)
+    assert score(TRUTH, found((0, 10), (20, 24))) == SupportScore("a", 2, 1, 1, 1, 0)
+    assert score(TRUTH, found((0, 10), (30, 36))) == SupportScore("a", 2, 2, 1, 1, 0)
+    assert score(TRUTH, found()) == SupportScore("a", 2, 0, 0, 0, 0)
 
 
 def test_a_mask_is_of_one_object_and_closely_from_three_quarters_on() -> None:
     # one mask over both: half of each
     assert score(TRUTH, found((0, 20))).matched == 1
-    assert score(TRUTH, found((0, 6), words=("cup",))) == FrameScore("a", 2, 1, 1, 0, 0)
-    assert score(TRUTH, found((0, 8), words=("mug",))) == FrameScore("a", 2, 1, 1, 1, 1)
+    assert score(TRUTH, found((0, 6), words=("cup",))) == SupportScore("a", 2, 1, 1, 0, 0)
+    assert score(TRUTH, found((0, 8), words=("mug",))) == SupportScore("a", 2, 1, 1, 1, 1)
 
 
 def test_overlaps_are_counted_pixels() -> None:
@@ -54,8 +54,8 @@ def test_overlaps_are_counted_pixels() -> None:
 
 
 def test_a_lead_is_of_the_same_frames() -> None:
-    good = [FrameScore(str(i), 10, 10, 8, 6, 0) for i in range(12)]
-    poor = [FrameScore(str(i), 10, 12, 4 + i % 2, 2, 0) for i in range(12)]
+    good = [SupportScore(str(i), 10, 10, 8, 6, 0) for i in range(12)]
+    poor = [SupportScore(str(i), 10, 12, 4 + i % 2, 2, 0) for i in range(12)]
     assert lead(good, good, 0) == (0.0, 0.0, 0.0)
     value, low, high = lead(good, poor, 0)
     assert value == pytest.approx(0.8 - 2 * 54 / (120 + 144))
