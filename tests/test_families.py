@@ -179,7 +179,6 @@ ELSEWHERE = {
     "warehouse/lineage/libraries.py library": "as above",
     "schemas/capture.py refined": "whose a pose is",
     "tasks/capture/poses/provider.py refined": "as above",
-    "warehouse/upkeep/erasure/rewriting.py library": "the grain of tables: rows of a library of models",
 }
 """Where a word that is a member's name stands outside of the member's own modules, and what it means there."""
 

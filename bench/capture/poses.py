@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.capture.frames import write_scan
-from bench.capture.walks import FilmedWalk, drifted, walk
+from bench.capture.walks import RoomFilm, drifted, walk
 from bench.goals import goal
 from schemas.errors import InputError
 from tasks.capture.formats import find_scans
@@ -97,7 +97,7 @@ def _reading(folder: Path) -> Any:
     return read_scan(scan)
 
 
-def _sources(filmed: FilmedWalk, poses: Array | None, folder: Path) -> tuple[FrameSource, ...]:
+def _sources(filmed: RoomFilm, poses: Array | None, folder: Path) -> tuple[FrameSource, ...]:
     """Frames of a walk as a folder has them, with these poses or none."""
     own = filmed.poses if poses is None else poses
     write_scan(folder, [dataclasses.replace(view, pose=pose) for view, pose in zip(filmed.views, own, strict=True)])
@@ -115,7 +115,7 @@ def error_m(true: Array, estimate: Array) -> float:
     return float(np.sqrt((((b - b.mean(0)) @ turn.T - (a - a.mean(0))) ** 2).sum(axis=1).mean()))
 
 
-def _f_score(filmed: FilmedWalk, frames: Sequence[FrameSource], poses: Array) -> float:
+def _f_score(filmed: RoomFilm, frames: Sequence[FrameSource], poses: Array) -> float:
     """F-score of the surface that frames fuse to, moved to where its cameras should be, against what they saw."""
     from scipy.spatial import cKDTree
 

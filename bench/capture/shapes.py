@@ -39,11 +39,11 @@ HALF = 0.5
 
 def shapes_in(world: Surface, scenery: Scenery) -> list[Row]:
     """Category, or `unknown`, and shape of each region that is found in a mesh of a scenery, world frame [m]."""
-    found = found_shapes(world, SegmentationConfig())
-    owner = owners(scenery, np.concatenate([points for points, _ in found]), HARD.owner_reach_m)
-    ends = np.cumsum([len(points) for points, _ in found])
+    shaped = found_shapes(world, SegmentationConfig())
+    owner = owners(scenery, np.concatenate([points for points, _ in shaped]), HARD.owner_reach_m)
+    ends = np.cumsum([len(points) for points, _ in shaped])
     rows = []
-    for own, (_, shape) in zip(np.split(owner, ends[:-1]), found, strict=True):
+    for own, (_, shape) in zip(np.split(owner, ends[:-1]), shaped, strict=True):
         objects, counts = np.unique(own, return_counts=True)
         most = int(objects[counts.argmax()])
         is_one = most >= 0 and counts.max() >= HALF * len(own) and counts.max() >= HALF * (owner == most).sum()
@@ -72,9 +72,9 @@ def held_out(rooms: Sequence[Sequence[Row]], config: ShapeNamingConfig) -> list[
     """What each region truly is, and what it is called by the shapes of all other rooms."""
     answers = []
     for place, room in enumerate(rooms):
-        others = [row for k, other in enumerate(rooms) if k != place for row in other]
-        names = sorted({UNKNOWN, *(name for name, _ in others)})
-        whose, shapes = np.array([names.index(name) for name, _ in others]), np.array([shape for _, shape in others])
+        rest = [row for k, other in enumerate(rooms) if k != place for row in other]
+        names = sorted({UNKNOWN, *(name for name, _ in rest)})
+        whose, shapes = np.array([names.index(name) for name, _ in rest]), np.array([shape for _, shape in rest])
         answers += [(name, named_among(shape, names, whose, shapes, config)) for name, shape in room]
     return answers
 

@@ -28,7 +28,7 @@ REFERENCE_M = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
-class FilmedWalk:
+class RoomFilm:
     """views: Frames with their true poses, world frame, depth with a sensor's noise. surface: What they see, without noise [m], shape
     (n, 3)."""
 
@@ -46,7 +46,7 @@ class FilmedWalk:
         return float(np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=1).sum())
 
 
-def walk(room_type: str, seed: int, frames: int) -> FilmedWalk:
+def walk(room_type: str, seed: int, frames: int) -> RoomFilm:
     """The first so many frames of a walk through a furnished room. The same seed walks the same way."""
     rng = np.random.default_rng(seed)
     config = ScannerConfig()
@@ -67,7 +67,7 @@ def walk(room_type: str, seed: int, frames: int) -> FilmedWalk:
         points = rays[near, :3].astype(np.float64) + depth[near, None] * rays[near, 3:]
         seen = np.concatenate([seen, points])
         seen = seen[voxel_first(seen, REFERENCE_M)]
-    return FilmedWalk(tuple(views), seen)
+    return RoomFilm(tuple(views), seen)
 
 
 def _filmed(views: list[Array], frames: int) -> list[Array]:

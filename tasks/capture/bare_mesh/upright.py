@@ -100,13 +100,13 @@ def _upright(surface: Surface, stated: Stated) -> tuple[Array, str]:
     """What turns a surface to +Z up, 4x4, and a line that says how up was told. HM3D and Matterport have GLBs whose z axis is up: what is
     scanned tells, since tops of furniture are seen and undersides are not."""
     here = 2 if stated.is_turned or stated.up == "z" else 1
-    told = f"{stated.up} is taken to be up, as {stated.by} has it"
+    note = f"{stated.up} is taken to be up, as {stated.by} has it"
     sides = {axis: _one_sided(surface, axis) for axis in (1, 2)}
     if sides[3 - here] < max(CLEAR, sides[here] + CLEARER):
-        return (np.eye(4) if here == 2 else Y_UP_TO_Z_UP), told
-    found = "z" if stated.up == "y" else "y"
+        return (np.eye(4) if here == 2 else Y_UP_TO_Z_UP), note
+    axis = "z" if stated.up == "y" else "y"
     turn = Z_UP_TO_Y_UP if stated.is_turned else (np.eye(4) if here == 1 else Y_UP_TO_Z_UP)  # back to the file's own axes, or z for y
-    return turn, f"{found} is up by the geometry, of which tops were scanned and undersides were not; {stated.by} has {stated.up}"
+    return turn, f"{axis} is up by the geometry, of which tops were scanned and undersides were not; {stated.by} has {stated.up}"
 
 
 def _one_sided(surface: Surface, axis: int) -> float:
@@ -131,10 +131,10 @@ def _unit(surface: Surface, turn: Array, stated: float | None) -> tuple[float, s
     first = stated if stated is not None else 1.0
     if is_plausible(first):
         return first, "" if stated is not None else "is taken to be in metres, which it does not say"
-    others = [(word, unit) for word, unit in UNITS if is_plausible(unit)]
-    if not others:
+    plausible = [(word, unit) for word, unit in UNITS if is_plausible(unit)]
+    if not plausible:
         return first, ""  # what is wrong with it is said where its size is checked
-    word, unit = min(others, key=lambda entry: abs(np.log(height * entry[1] / STOREY_M)))
+    word, unit = min(plausible, key=lambda entry: abs(np.log(height * entry[1] / STOREY_M)))
     stating = "the unit that it states" if stated is not None else "metres"
     return unit, f"is read as {word}: in {stating} it would be {height * first:.3g} m high"
 

@@ -77,8 +77,8 @@ def geometry_instances(world: Surface, config: SegmentationConfig, materials: In
             named.append((name.category, members))
     groups = _groups(named, made.even, world)
     unnamed = sum(category == UNKNOWN for category, _ in named)
-    found = f"instances found in the geometry: {len(probabilities)} objects, categories guessed from their sizes"
-    return GeometryInstances(groups, probabilities, (f"{found}, {unnamed} of them unknown" if unnamed else found,))
+    note = f"instances found in the geometry: {len(probabilities)} objects, categories guessed from their sizes"
+    return GeometryInstances(groups, probabilities, (f"{note}, {unnamed} of them unknown" if unnamed else note,))
 
 
 def found_shapes(world: Surface, config: SegmentationConfig) -> list[tuple[Array, Array]]:

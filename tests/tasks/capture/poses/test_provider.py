@@ -13,7 +13,7 @@ import pytest
 
 from bench.capture.frames import write_scan
 from bench.capture.poses import error_m
-from bench.capture.walks import FilmedWalk, drifted, walk
+from bench.capture.walks import RoomFilm, drifted, walk
 from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run
 from tasks.capture.formats import find_scans
@@ -34,7 +34,7 @@ def reading_of(folder: Path) -> Reading:
 
 
 @pytest.fixture(scope="module")
-def filmed() -> FilmedWalk:
+def filmed() -> RoomFilm:
     return walk("bedroom", 1, 60)
 
 
@@ -48,7 +48,7 @@ def python() -> str:
 
 
 @pytest.mark.whole
-def test_a_walk_is_slow_and_the_same_twice(filmed: FilmedWalk) -> None:
+def test_a_walk_is_slow_and_the_same_twice(filmed: RoomFilm) -> None:
     again = walk("bedroom", 1, 60)
     assert all(np.array_equal(a.depth, b.depth) and np.array_equal(a.pose, b.pose) for a, b in zip(filmed.views, again.views, strict=True))
     steps = [inverse(a) @ b for a, b in itertools.pairwise(filmed.poses)]
@@ -57,7 +57,7 @@ def test_a_walk_is_slow_and_the_same_twice(filmed: FilmedWalk) -> None:
 
 
 @pytest.mark.whole
-def test_drift_is_a_share_of_the_way(filmed: FilmedWalk) -> None:
+def test_drift_is_a_share_of_the_way(filmed: RoomFilm) -> None:
     off = drifted(filmed.poses, 0.03, np.random.default_rng(0))
     assert all(is_rigid(pose) for pose in off)
     end = float(np.linalg.norm(off[-1, :3, 3] - filmed.poses[-1, :3, 3]))
@@ -103,13 +103,13 @@ def test_an_interpreter_that_does_not_work(python: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.whole
-def test_the_motion_onto_given_poses(filmed: FilmedWalk) -> None:
+def test_the_motion_onto_given_poses(filmed: RoomFilm) -> None:
     motion = filmed.poses[7]
     np.testing.assert_allclose(moved_onto(motion @ filmed.poses, filmed.poses), motion, atol=1e-9)
 
 
 @pytest.mark.whole
-def test_withheld_poses_are_found_and_rows_say_so(filmed: FilmedWalk, python: str, tmp_path: Path) -> None:
+def test_withheld_poses_are_found_and_rows_say_so(filmed: RoomFilm, python: str, tmp_path: Path) -> None:
     folder = write_scan(tmp_path / "video", filmed.views)
     (folder / "pose.txt").unlink()
     config = PosesConfig(Open3DPoses(python=python))
@@ -128,7 +128,7 @@ def test_withheld_poses_are_found_and_rows_say_so(filmed: FilmedWalk, python: st
 
 
 @pytest.mark.whole
-def test_poses_that_drift_are_refined_in_their_own_frame(filmed: FilmedWalk, python: str, tmp_path: Path) -> None:
+def test_poses_that_drift_are_refined_in_their_own_frame(filmed: RoomFilm, python: str, tmp_path: Path) -> None:
     off = drifted(filmed.poses, 0.08, np.random.default_rng(2))
     folder = write_scan(tmp_path / "off", [dataclasses.replace(view, pose=pose) for view, pose in zip(filmed.views, off, strict=True)])
     config = PosesConfig(Open3DPoses(python=python, always=True))
