@@ -372,7 +372,7 @@ def test_a_batch_goes_back_and_comes_again(opened: Callable[..., Page], lake: La
     (row,) = batch_list(lake, BATCH)
     assert (row["state"], row["round"], row["counts"], row["passed"]) == ("accepted", 2, True, 2 * len(OBJECTS))
     (corrected,) = [row for row in open_work(lake, BATCH, "bob") if row["instance_id"] == "0002"]
-    assert corrected["answer"]["revision"] == 2
+    assert corrected["answer"]["revision"] >= 2, "each time that it was saved counts"
     assert corrected["answer"]["pose"][11] == pytest.approx(TABLE_M, abs=1e-5)
 
 
