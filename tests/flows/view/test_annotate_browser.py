@@ -212,9 +212,10 @@ def drag_to_place(page: Page, tile: str, place: int) -> None:
 
 def answer_all(page: Page) -> None:
     """Save what is shown for every object."""
-    while any(status != "answered" for _, status in page.evaluate("annotate.state.listed")):
-        page.keyboard.press("Control+Enter")
-        page.wait_for_timeout(30)
+    unanswered = "annotate.state.listed.filter(([, status]) => status !== 'answered').length"
+    while left := page.evaluate(unanswered):
+        page.keyboard.press("Control+Enter")  # once: what is shown still, because the machine is busy, would be saved again
+        wait(page, f"{unanswered} < {left}", True)
 
 
 def ask_to_hand_in(page: Page) -> None:
@@ -372,7 +373,7 @@ def test_a_batch_goes_back_and_comes_again(opened: Callable[..., Page], lake: La
     (row,) = batch_list(lake, BATCH)
     assert (row["state"], row["round"], row["counts"], row["passed"]) == ("accepted", 2, True, 2 * len(OBJECTS))
     (corrected,) = [row for row in open_work(lake, BATCH, "bob") if row["instance_id"] == "0002"]
-    assert corrected["answer"]["revision"] >= 2, "each time that it was saved counts"
+    assert corrected["answer"]["revision"] == 2
     assert corrected["answer"]["pose"][11] == pytest.approx(TABLE_M, abs=1e-5)
 
 
