@@ -84,6 +84,7 @@ ELSEWHERE = {
     "bench/warehouse/rows/assets.sql procedural": "as above",
     "bench/warehouse/rows/candidates.sql library": "as above",
     "bench/warehouse/rows/candidates.sql procedural": "as above",
+    "bench/warehouse/rows/candidates.sql textured": "as above",
     "bench/warehouse/rows/captions.sql vision_language": "rows of a generated lake, whose captions such a model wrote",
     "bench/warehouse/rows/episodes.sql planar": "as above",
     "bench/warehouse/rows/navmeshes.sql planar": "as above",

@@ -139,7 +139,7 @@ def _scene_seconds(lake: Lake, scene: str) -> float:
     clock = time.perf_counter()
     reader = lake.snapshot()
     for table in TABLES.values():
-        if table.rule == "replace":
+        if table.rule == "replace" and table.owner == "scene_id":
             arrow_to_rows(reader.arrow(table.name, scene), table.record)
     return time.perf_counter() - clock
 

@@ -144,7 +144,7 @@ class LocalStorage:
         for place in (self.folder, *self.folder.parents):
             if os.path.isdir(place):
                 break
-            if os.path.lexists(place):
+            if os.path.lexists(place) and not os.path.isdir(place):  # which another process may have made since the first look
                 problem = "this is a file, not a folder" if place == self.folder else f"lies below {place}, which is no folder"
                 raise InputError(self.address, "", problem, "give a new or empty folder")
 

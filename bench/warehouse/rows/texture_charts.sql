@@ -1,9 +1,9 @@
--- Layouts that the library's models came with.
+-- Layouts that the library's models came with; of every second dozen, those of twins of one asset, by two unwrappers.
 SELECT
     asset_id,
-    NULL AS of_asset_id,
-    'source' AS method,
-    NULL AS made_by,
+    CASE WHEN is_twin THEN digest('library asset', library_index - library_index % 24 + 1) END AS of_asset_id,
+    CASE WHEN NOT is_twin THEN 'source' WHEN library_index % 2 = 0 THEN 'xatlas' ELSE 'smart_uv' END AS method,
+    CASE WHEN is_twin THEN 'unwrapper 1.0' END AS made_by,
     256 << below(asset_id, 'side', 4) AS side_px,
     200 + below(asset_id, 'faces', 40000) AS faces,
     1 + below(asset_id, 'charts', 200) AS charts,
@@ -16,6 +16,6 @@ SELECT
     below(asset_id, 'outside', 3) AS outside,
     0 AS collapsed,
     2.0 + 20.0 * u(asset_id, 'seams') AS seam_ratio,
-    NULL AS seconds
-FROM library
+    CASE WHEN is_twin THEN 0.5 + u(asset_id, 'laid out') END AS seconds
+FROM (SELECT *, library_index % 24 >= 12 AS is_twin FROM library)
 WHERE first_part = getvariable('part') AND provider <> 'procedural' AND u(asset_id, 'texture') < 0.3

@@ -24,7 +24,7 @@ FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 
 
-@click.group("library", short_help="Index, list and remove libraries of models.")
+@click.group("library", short_help="Index, list and remove libraries of models that candidates are taken from.")
 def command() -> None:
     """Libraries: folders of models in GLB, OBJ and USD that are indexed into the lake, so that runs take candidates from them.
 

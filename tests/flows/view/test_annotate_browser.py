@@ -212,9 +212,10 @@ def drag_to_place(page: Page, tile: str, place: int) -> None:
 
 def answer_all(page: Page) -> None:
     """Save what is shown for every object."""
-    while any(status != "answered" for _, status in page.evaluate("annotate.state.listed")):
-        page.keyboard.press("Control+Enter")
-        page.wait_for_timeout(30)
+    unanswered = "annotate.state.listed.filter(([, status]) => status !== 'answered').length"
+    while left := page.evaluate(unanswered):
+        page.keyboard.press("Control+Enter")  # once: what is shown still, because the machine is busy, would be saved again
+        wait(page, f"{unanswered} < {left}", True)
 
 
 def ask_to_hand_in(page: Page) -> None:

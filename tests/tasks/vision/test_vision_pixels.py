@@ -56,7 +56,7 @@ def test_sizes_change_as_torch_has_it(height: int, width: int, high: int, wide: 
     own = picture(height, width, seed)
     tensor = torch.from_numpy(own.transpose(2, 0, 1).astype(np.float32))[None]
     smooth = torch.nn.functional.interpolate(tensor, (high, wide), mode="bilinear", antialias=True)[0].numpy().transpose(1, 2, 0)
-    assert np.abs(shrunk_to(own, high, wide) - smooth).max() <= 1.0
+    assert np.abs(shrunk_to(own, high, wide) - smooth).max() <= 1.0 + 1e-3, "a whole step, but for single precision"
     plain = torch.nn.functional.interpolate(tensor, (high, wide), mode="bilinear", antialias=False)[0].numpy().transpose(1, 2, 0)
     assert np.abs(sampled(own.astype(np.float32), high, wide) - plain).max() < 0.01  # grays
 

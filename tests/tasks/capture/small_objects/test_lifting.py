@@ -122,7 +122,7 @@ def test_clusters_are_those_of_brute_force(seed: int) -> None:
     count = int(rng.integers(1, 5))
     centers = np.arange(count)[:, None] * [0.5, 0.0, 0.0]
     truth = np.repeat(np.arange(count), 40)
-    points = centers[truth] + rng.uniform(-0.04, 0.04, (len(truth), 3))
+    points = centers[truth] + rng.uniform(-0.014, 0.014, (len(truth), 3))
     stray = np.array([[0.0, 3.0, 0.0], [0.0, -3.0, 0.0]])
     label = density_clusters(np.concatenate([points, stray]), 0.05, 5)
     assert (label[-2:] == -1).all()
