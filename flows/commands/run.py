@@ -14,7 +14,7 @@ from flows.commands.options import configuration_options, json_option, lake_opti
 from flows.run.fanout.runners import RUNNERS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from flows.run.configuration import Configuration
     from flows.run.plan import Plan
@@ -86,7 +86,10 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
     )
     plan = make_plan(lake, scan_list, unusable, configuration, retry_failed, again=again)
     if dry_run:
-        print(json.dumps(_plan_json(plan)) if as_json else _plan_text(plan))
+        from flows.run.rescans import foreseen_rescans
+
+        rescans = foreseen_rescans(lake, plan, configuration, retry_failed)
+        print(json.dumps(_plan_json(plan, rescans)) if as_json else _plan_text(plan, rescans))
         return
     report = carry_out(
         plan, lake, configuration, scans=scans, lake=address, format=scan_format, dataset=dataset, workers=workers,
@@ -200,11 +203,12 @@ def _same(same: Mapping[str, str]) -> list[str]:
     return [*lines, "--again computes them again under their names here"] if lines else []
 
 
-def _plan_text(plan: Plan) -> str:
+def _plan_text(plan: Plan, rescans: Mapping[str, Sequence[str]]) -> str:
     lines = _same(plan.same)
     for scene in plan.scenes:
         for step in scene.steps:
             lines.append(f"{scene.scan.scene_id:<32} {step.stage:<13} {step.action:<7} {step.why}")
+    lines += [f"{scene:<32} {'rescans':<13} {'run':<7} held against {', '.join(before)}" for scene, before in rescans.items()]
     lines += [f"left out: {line}" for line in plan.left_out]
     lines += [f"unusable: {error}" for error in plan.unusable]
     counts = plan.counts()
@@ -213,7 +217,7 @@ def _plan_text(plan: Plan) -> str:
     return "\n".join(lines)
 
 
-def _plan_json(plan: Plan) -> dict[str, Any]:
+def _plan_json(plan: Plan, rescans: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     steps = [
         {
             "scene_id": scene.scan.scene_id,
@@ -227,6 +231,7 @@ def _plan_json(plan: Plan) -> dict[str, Any]:
     ]
     return {
         "steps": steps,
+        "rescans": {scene: list(before) for scene, before in rescans.items()},
         "unusable": [str(error) for error in plan.unusable],
         "left_out": list(plan.left_out),
         "counts": dict(plan.counts()),

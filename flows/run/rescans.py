@@ -12,7 +12,7 @@ from schemas.families.scan_formats import SCAN_FORMATS
 
 if TYPE_CHECKING:
     from flows.run.configuration import Configuration
-    from flows.run.plan import Plan
+    from flows.run.plan import Plan, ScenePlan
     from flows.run.report import RunReport
     from flows.worker import Job
     from schemas.runs import StageRun
@@ -90,6 +90,35 @@ def planned_rescans(lake: Lake, scenes: Collection[str], configuration: Configur
                 )
             )  # fmt: skip
     return PlannedRescans(tuple(todo), tuple(known))
+
+
+def foreseen_rescans(lake: Lake, plan: Plan, configuration: Configuration, retry_failed: bool = False) -> dict[str, tuple[str, ...]]:
+    """Scans that a run would hold against earlier ones of their rooms, sorted, each with these, the nearest first.
+
+    Those of its scenes that it will capture count as captured: what comes of the others is known.
+    """
+    from tasks.capture.formats import room_of
+
+    jobs = planned_rescans(lake, {scene.scan.scene_id for scene in plan.scenes}, configuration, retry_failed).todo
+    found = {job.scene_id: dict(job.outside)["rescanned_rooms"][1:] for job in jobs}
+    fresh = {scene.scan.scene_id: room_of(scene.scan) for scene in plan.scenes if _is_captured_anew(scene)}
+    rooms: defaultdict[str, set[str]] = defaultdict(set)
+    for scene, room in fresh.items():
+        rooms[room].add(scene)
+    for row in lake.snapshot().matching("scenes", {}, ["scene_id", "room_id", "scan_format"]).to_pylist() if fresh and lake.exists else ():
+        if row["scan_format"] in SCAN_FORMATS and row["scene_id"] not in fresh:
+            rooms[row["room_id"]].add(row["scene_id"])
+    earlier = configuration.stages[STAGE].earlier
+    for room in map(sorted, rooms.values()):
+        for place, scene in enumerate(room):
+            before = tuple(reversed(room[max(0, place - earlier) : place]))
+            if before and not fresh.keys().isdisjoint((scene, *before)):
+                found[scene] = before
+    return dict(sorted(found.items()))
+
+
+def _is_captured_anew(scene: ScenePlan) -> bool:
+    return any(step.stage == CAPTURE and step.action == "run" for step in scene.steps)
 
 
 def rescanned(lake: Lake, scenes: Collection[str]) -> list[list[str]]:

@@ -13,7 +13,7 @@ from flows.commands.run import report_line
 from flows.run.configuration import configure
 from flows.run.plan import make_plan
 from flows.run.report import report_of
-from flows.run.rescans import computed, planned_rescans, rescanned, with_rescans
+from flows.run.rescans import computed, foreseen_rescans, planned_rescans, rescanned, with_rescans
 from schemas.capture import Scene
 from schemas.rescans import Rescan, RescanObject
 from schemas.runs import StageRun
@@ -145,6 +145,29 @@ def test_a_run_tells_what_could_not_be_held_and_the_next_one_that_it_knew(lake: 
     assert again.known == again.failures == report.failures
     assert pairs(lake) == [(B, A), (C, B)], "what is there stays"
     assert "2 failed" in report_line(again)
+
+
+def test_what_a_run_would_hold_is_told_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an empty lake, as a run then does; of one whose middle scan changed, what that touches."""
+    monkeypatch.setenv("METASCENES_CACHE", str(tmp_path / "cache"))
+    for name in ("scene0001_00", "scene0001_01", "scene0001_02", "scene0002_00"):
+        write_scan(tmp_path / "scans", name)
+    configuration = configure(settings=("rescans.earlier=2",))
+    empty = Lake.open(tmp_path / "empty")
+    plan = make_plan(empty, *find_scans(tmp_path / "scans"), configuration)
+    assert foreseen_rescans(empty, plan, configuration) == {B: (A,), C: (B, A)}
+
+
+def test_what_would_be_held_again_is_told(lake: Lake, tmp_path: Path) -> None:
+    write_scan(tmp_path / "scans", "scene0001_01")
+    configuration = configure()
+    plan = make_plan(lake, *find_scans(tmp_path / "scans"), configuration)
+    assert foreseen_rescans(lake, plan, configuration) == {B: (A,), C: (B,)}, "another scan of the name of the second"
+    only = configure(settings=("rescans.earlier=1",))
+    write_scan(tmp_path / "fourth", "scene0001_03")
+    plan = make_plan(lake, *find_scans(tmp_path / "fourth"), only)
+    told = foreseen_rescans(lake, plan, only)
+    assert told["scannet/scene0001_03"] == (C,)
 
 
 CHAIR = ("chair", (0.9, 2.3, 0.45), (0.5, 0.5, 0.9), (90, 60, 40))
