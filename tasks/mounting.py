@@ -6,6 +6,7 @@ A prior only: where a category says nothing, the geometry decides alone.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from functools import cache
 from typing import Literal
 
@@ -111,6 +112,13 @@ _FLAT_TOPPED = (
 """What others are put on."""
 
 
+UNNAMED = "object"
+"""Category of what geometry told apart and could not name."""
+
+SLAB_M, TABLE_M = 0.2, 0.4
+"""A slab no thicker and no narrower is the top of a table [m]."""
+
+
 @cache
 def mounting(category: str) -> Mounting:
     """How objects of a category are carried; a longer name is taken by its last words, a plural by its singular, another word for
@@ -125,6 +133,15 @@ def mounting(category: str) -> Mounting:
 
     usual = _mountings().get(canonical_category(category) or "", Mounting("any"))
     return usual if usual.base is not None and category not in PARTS else Mounting("any")
+
+
+def carried(category: str, size: Sequence[float], is_guessed: bool) -> Mounting:
+    """How an object is carried whose box has a size [m]. What geometry told apart and could not name stands, if on nothing else: a slab on
+    legs, as a table, the rest on what of it was hidden. is_guessed: the category is."""
+    if not is_guessed or category != UNNAMED:
+        return mounting(category)
+    is_slab = size[2] <= SLAB_M and min(size[:2]) >= TABLE_M
+    return Mounting("stands", base="legs" if is_slab else "body", is_flat_topped=is_slab)
 
 
 @cache

@@ -25,7 +25,7 @@ from tasks.geometry.meshes import Surface, read_points
 from tasks.geometry.transforms import inverse, transform_points
 from tasks.library.descriptors import Descriptor, describe
 from tasks.library.search import LibraryMatch
-from tasks.mounting import mounting
+from tasks.mounting import carried
 from tasks.stage import Context
 from tasks.texturing.views import ColorView
 from tasks.views.crops import Crop
@@ -33,6 +33,9 @@ from tasks.views.crops import crop_of as crop_of_view
 
 if TYPE_CHECKING:
     import trimesh
+
+NEAR_FLOOR_M = 0.1
+"""What has no name and ends this near to the floor stands on it."""
 
 ON_TOP_M = 0.05
 """What ends this near to the top of another stands on it."""
@@ -165,7 +168,11 @@ class CandidateRequest:
     @cached_property
     def field(self) -> SolidField:
         """The solid field of the crop."""
-        return solid_field(self.crop, Unseen.of(self.instance.hidden_m, mounting(self.category), self.held))
+        pose, size = grown_box(self.instance.box_pose, self.instance.box_size, self.instance.hidden_m)
+        is_guessed = self.instance.category_probability is not None and float(pose[2, 3] - 0.5 * size[2]) <= NEAR_FLOOR_M
+        return solid_field(
+            self.crop, Unseen.of(self.instance.hidden_m, carried(self.category, self.instance.box_size, is_guessed), self.held)
+        )
 
     @cached_property
     def pieces(self) -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:

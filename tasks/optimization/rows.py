@@ -155,7 +155,8 @@ def remains_of(
         if interior.proposals[i].pose[2, 2] < UPSIDE_DOWN:
             lines[name].append("it stands upside down, as it was proposed")
         if carrier.relation == "none":
-            lines[name].append(f"nothing carries it; it hangs {carrier.gap:.2f} m above the floor")
+            held = ", held there: nobody knows by what" if name in fixed else ""
+            lines[name].append(f"nothing carries it; it hangs {carrier.gap:.2f} m above the floor{held}")
     for penetration in sorted(after, key=lambda p: -p.depth_m):
         if penetration.depth_m > DEEP_M and penetration.depth_m > allowed.get((penetration.a, penetration.b), -1.0) + DEEP_M:
             lines[penetration.a].append(f"{100 * penetration.depth_m:.1f} cm in {penetration.b}")

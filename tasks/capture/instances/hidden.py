@@ -12,7 +12,7 @@ from schemas.capture import Instance, Shell
 from tasks.capture.instances.boxes import oriented_box
 from tasks.geometry.boxes import grown_box
 from tasks.geometry.transforms import flat, inverse, matrix, transform_points, yaw_of
-from tasks.mounting import Mounting, mounting
+from tasks.mounting import UNNAMED, Mounting, carried, mounting
 
 Array = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -120,7 +120,7 @@ def with_hidden_parts(
     rows = [_along_its_wall(row, cloud, walls) for row, cloud in zip(rows, points, strict=True)]
     made = list(rows)
     for i in movable:
-        kind = mounting(rows[i].category)
+        kind = carried(rows[i].category, rows[i].box_size, rows[i].category_probability is not None)
         below = _below(i, rows[i], kind, seen, {k: rows[k] for k in np.flatnonzero(raised).tolist() if k != i}, passed, walls)
         sides = np.array([0.0, 0.0, 0.0, 0.0, below, 0.0])
         bottom = float(rows[i].box_pose[11]) - 0.5 * rows[i].box_size[2] - below
@@ -142,10 +142,7 @@ def _along_its_wall(row: Instance, points: Array, walls: Array) -> Instance:
     kind = mounting(row.category)
     if not (kind.is_fitted and kind.is_flat_topped) or not len(walls) or row.is_structure:
         return row
-    middle = np.array([row.box_pose[3], row.box_pose[7]])
-    along, from_start = walls[:, 2:] - walls[:, :2], middle - walls[:, :2]
-    share = np.clip((from_start * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12), 0.0, 1.0)
-    away = np.hypot(*(from_start - share[:, None] * along).T)
+    along, away = walls[:, 2:] - walls[:, :2], _from_walls(row, walls)
     nearest = int(np.argmin(away))
     yaw = yaw_of(matrix(row.box_pose))
     turn = (float(np.arctan2(along[nearest, 1], along[nearest, 0])) - yaw + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
@@ -206,10 +203,24 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mappi
         on_floor = on_floor[(np.abs(on_floor[:, :2]) < 0.5 * size[:2]).all(axis=1)]
         if len(_cells(on_floor[:, :2]) & _cells(local[seen.owners == index, :2])) > FLOOR_SHARE * cells:  # not in its bend
             return 0.0
+    if row.category == UNNAMED and (_hangs(row, walls) or _filled(local[under, :2]) > CARRIED_SHARE * cells):
+        return 0.0  # over a sofa nobody knows what holds it
     is_let_in = row.category.endswith(LET_IN)
     is_lid = kind.is_boxy and size[2] <= LID_M and bottom + size[2] <= EYES_M
     most = MOST_BELOW_STANDING_M if (kind.kind == "stands" or is_lid) and not is_let_in else MOST_BELOW_M
     return lost if SEEN_M < lost <= most[kind.base] else 0.0
+
+
+def _hangs(row: Instance, walls: Array) -> bool:
+    """Whether a box without a name lies flat against a wall. walls: ends of each, shape (n, 4) [m]."""
+    return bool(len(walls) and min(row.box_size[:2]) <= FRONT_M and _from_walls(row, walls).min() <= FRONT_M)
+
+
+def _from_walls(row: Instance, walls: Array) -> Array:
+    """How far the middle of a box is from each wall in plan [m], shape (n,). walls: ends of each, shape (n, 4) [m]."""
+    along, from_start = walls[:, 2:] - walls[:, :2], np.array([row.box_pose[3], row.box_pose[7]]) - walls[:, :2]
+    share = np.clip((from_start * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12), 0.0, 1.0)
+    return np.asarray(np.hypot(*(from_start - share[:, None] * along).T))
 
 
 def _has_fronts(local: Array, below: Booleans, size: Array, seen: _Seen) -> bool:

@@ -21,7 +21,7 @@ from tasks.calls.command import run_apart
 from tasks.capture.reading import FrameSource
 from tasks.capture.small_objects.lifting import depth_view
 from tasks.geometry.transforms import is_rigid
-from tasks.settings import Config, Count, Natural, Positive, Share
+from tasks.settings import LISTED, Config, Count, Natural, Positive, Share
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,9 @@ SCRIPT = Path(__file__).with_name("open3d_script.py")
 FIELD = "capture.poses.provider.python"
 
 Pixels = Annotated[int, Field(ge=80)]
+
+
+Voxels = Annotated[tuple[Positive, ...], LISTED]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Open3DPoses(Config):
     max_frames: Count = 1500  # evenly over all: 50 seconds of video, half a minute to ten minutes of a core
     width_px: Pixels = 320  # wider images are thinned: odometry looks at pyramids of them, and depth has no finer detail
     max_depth_m: Positive = 4.0  # noise beyond pulls registrations off
-    voxels_m: tuple[Positive, ...] = (0.08, 0.04, 0.025)  # of registrations, coarse to fine: drift of 10 cm comes into reach
+    voxels_m: Voxels = (0.08, 0.04, 0.025)  # of registrations, coarse to fine: drift of 10 cm comes into reach
     sure_score: Share = 0.75  # share of a frame that the next one confirms, from which on no further guess is tried
     least_score: Share = 0.2  # below it, a frame does not follow from the one before
     least_agreement: Share = 0.6  # of what two frames share, for a motion that only features give

@@ -45,6 +45,15 @@ _STANDING_M = 0.5
 _FEW_POINTS = 50
 """Fewer points than this are no furniture."""
 
+_PATCHES_M, _ROOM_M = 0.15, 0.4
+"""Half the width of gaps between furniture and patches of floor that are closed: where walls were named, and where nobody knows of any."""
+
+_AROUND_M = 0.15
+"""Left around the box of furniture where nobody knows of walls: no simplified outline cuts it [m]."""
+
+_TALL_M = 1.2
+"""Upright surface that nobody named is a wall where it is as high in one place: furniture behind it stands in another room."""
+
 
 @dataclasses.dataclass(frozen=True)
 class RoomShape:
@@ -111,7 +120,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
         notes.append("no floor to be seen: its polygon is the extent of the scan")
         area, walls, inner = float(np.prod(high - low)), _edges(polygon), np.zeros((0, 6))
         return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
-    outline, missed = _with_furniture(outline, cloud, kinds)
+    outline, missed = _with_furniture(outline, cloud, kinds, is_named=bool((nyu40 == WALL).any()))
     if missed > 0.0:
         notes.append(f"the floor was seen in patches: {missed:.1f} m2 under and around furniture are added to its polygon")
     lines = [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
@@ -185,10 +194,11 @@ def _height(cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[float, str]:
     return max(float(np.percentile(z, 99.5)), 0.1), "extent"
 
 
-def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[Polygon, float]:
+def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], is_named: bool) -> tuple[Polygon, float]:
     """The outline with what stands outside of it, and how much was added [m2]; as it was where little stands outside.
 
-    A few frames see furniture well and the floor in patches: then furniture lies across the patches' outline.
+    A few frames see furniture well and the floor in patches: then furniture lies across the patches' outline. is_named: The scan names
+    its walls. Where it does not, what hangs in the air is furniture, too, whose lower part was hidden.
     """
     import shapely
 
@@ -199,10 +209,14 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64]) ->
         if cloud.instance[members[0]] < 0 or len(points) < _FEW_POINTS or kinds[members].any():
             continue
         low, high = np.percentile(points, [1, 99], axis=0)
-        if low[2] < _STANDING_M:
+        if low[2] < (_STANDING_M if is_named else _MIN_HEIGHT_M):
             within = ((points[:, :2] >= low[:2]) & (points[:, :2] <= high[:2])).all(axis=1)
-            hulls.append(shapely.MultiPoint(points[within, :2]).convex_hull.buffer(CELL_M))
-    walls = cloud.points[kinds == WALL, :2]
+            plan = shapely.MultiPoint(points[within, :2])
+            hulls.append(
+                plan.convex_hull.buffer(CELL_M) if is_named else plan.minimum_rotated_rectangle.buffer(_AROUND_M, join_style="mitre")
+            )
+    walls = cloud.points[kinds == WALL]
+    walls = walls[:, :2] if is_named else walls[_is_tall(walls), :2]
     hulls = [hull for hull in hulls if not _is_behind_wall(hull, outline, walls)]
     furniture = shapely.union_all(hulls) if hulls else shapely.Polygon()
     if furniture.difference(outline).area < _MISSED_SHARE * outline.area:
@@ -213,8 +227,19 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64]) ->
         if 0.0 < away <= _BRIDGED_M:  # the floor between was not seen
             near = shapely.intersection(outline, part.buffer(away + 0.3))
             whole = shapely.union_all([whole, shapely.union_all([part, near]).convex_hull])
-    grown = largest(closed(whole, 0.15))
+    grown = largest(closed(whole, _PATCHES_M if is_named else _ROOM_M))
     return (grown, float(grown.area - outline.area)) if grown is not None else (outline, 0.0)
+
+
+def _is_tall(points: Array) -> NDArray[np.bool_]:
+    """Which points, shape (n, 3), are of cells in plan in which they reach as high as a wall, shape (n,)."""
+    if not len(points):
+        return np.zeros(0, dtype=np.bool_)
+    _, cell = np.unique(np.floor(points[:, :2] / (2 * CELL_M)).astype(np.int64), axis=0, return_inverse=True)
+    low, high = np.full(int(cell.max()) + 1, np.inf), np.full(int(cell.max()) + 1, -np.inf)
+    np.minimum.at(low, cell.ravel(), points[:, 2])
+    np.maximum.at(high, cell.ravel(), points[:, 2])
+    return np.asarray((high - low)[cell.ravel()] >= _TALL_M)
 
 
 def _is_behind_wall(hull: Polygon, outline: Polygon, walls: Array) -> bool:

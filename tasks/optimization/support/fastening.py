@@ -30,8 +30,11 @@ BELOW_M = 0.1
 
 
 def is_fixed(carrier: Carrier, category: str, against: str | None = None) -> bool:
-    """Whether an object is fastened to the room: it hangs on a wall or ceiling, is built in, or is fitted and stands `against` a wall."""
+    """Whether an object is fastened to the room: it hangs on a wall or ceiling, is built in, or is fitted and stands `against` a wall; or
+    nothing seen carries it, and its name does not say that it stands: then what holds it was not seen."""
     kind = mounting(category)
+    if carrier.relation == "none" and kind.kind == "any":
+        return True
     return carrier.relation in ("wall", "ceiling") or kind.is_built_in or (kind.is_fitted and against is not None)
 
 
