@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from schemas.capture import Shell
 from tasks.capture.cloud import Cloud
+from tasks.capture.instances.boxes import oriented_box
 from tasks.capture.labels import CEILING, FLOOR, WALL, Label
 from tasks.capture.rooms.partitions import interior_walls
 from tasks.capture.rooms.plan import CELL_M, FloorCells, closed, enclosed, largest
 from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.slopes import Slope, slanted_walls
+from tasks.geometry.boxes import box_footprint
+from tasks.geometry.transforms import flat
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -108,6 +111,8 @@ def _median_color(parts: Iterable[tuple[NDArray[np.uint8], Label]], nyu40: int) 
 
 def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
     """The room around a scan. `nyu40`: NYU40 class of each point of the cloud, 0 for none, shape (n,)."""
+    import shapely
+
     kinds = _kinds(cloud, nyu40)
     height, height_source = _height(cloud, kinds)
     plan = FloorCells.of(cloud, kinds, height)
@@ -120,11 +125,14 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
         notes.append("no floor to be seen: its polygon is the extent of the scan")
         area, walls, inner = float(np.prod(high - low)), _edges(polygon), np.zeros((0, 6))
         return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
-    outline, missed = _with_furniture(outline, cloud, kinds, is_named=bool((nyu40 == WALL).any()))
+    is_named = bool((nyu40 == WALL).any())
+    outline, missed, furniture = _with_furniture(outline, cloud, kinds, is_named)
     if missed > 0.0:
         notes.append(f"the floor was seen in patches: {missed:.1f} m2 under and around furniture are added to its polygon")
     lines = [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
     shape, is_snapped = _snapped(plan, outline, lines, cloud, kinds)
+    if not is_named:
+        shape = largest(shapely.union_all([shape, furniture])) or shape
     if plan.left_out_m2 > 1.0:
         notes.append(f"{plan.left_out_m2:.1f} m2 of floor not connected to the rest: left out of the polygon")
     polygon = _ring(shape)
@@ -194,11 +202,11 @@ def _height(cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[float, str]:
     return max(float(np.percentile(z, 99.5)), 0.1), "extent"
 
 
-def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], is_named: bool) -> tuple[Polygon, float]:
-    """The outline with what stands outside of it, and how much was added [m2]; as it was where little stands outside.
+def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], is_named: bool) -> tuple[Polygon, float, Polygon]:
+    """The outline with what stands outside of it, how much was added [m2], and the furniture; as it was where little stands outside.
 
     A few frames see furniture well and the floor in patches: then furniture lies across the patches' outline. is_named: The scan names
-    its walls. Where it does not, what hangs in the air is furniture, too, whose lower part was hidden.
+    its walls. Where it does not, what hangs in the air is furniture, too, whose lower part was hidden, and nothing may stand outside.
     """
     import shapely
 
@@ -211,16 +219,13 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], is
         low, high = np.percentile(points, [1, 99], axis=0)
         if low[2] < (_STANDING_M if is_named else _MIN_HEIGHT_M):
             within = ((points[:, :2] >= low[:2]) & (points[:, :2] <= high[:2])).all(axis=1)
-            plan = shapely.MultiPoint(points[within, :2])
-            hulls.append(
-                plan.convex_hull.buffer(CELL_M) if is_named else plan.minimum_rotated_rectangle.buffer(_AROUND_M, join_style="mitre")
-            )
+            hulls.append(shapely.MultiPoint(points[within, :2]).convex_hull.buffer(CELL_M) if is_named else _around(points))
     walls = cloud.points[kinds == WALL]
     walls = walls[:, :2] if is_named else walls[_is_tall(walls), :2]
     hulls = [hull for hull in hulls if not _is_behind_wall(hull, outline, walls)]
     furniture = shapely.union_all(hulls) if hulls else shapely.Polygon()
-    if furniture.difference(outline).area < _MISSED_SHARE * outline.area:
-        return outline, 0.0
+    if furniture.difference(outline).area <= (_MISSED_SHARE if is_named else 0.0) * outline.area:
+        return outline, 0.0, furniture
     whole = shapely.union_all([outline, furniture])
     for part in sorted(shapely.get_parts(whole), key=lambda part: float(part.distance(outline))):
         away = float(part.distance(outline))
@@ -228,7 +233,15 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], is
             near = shapely.intersection(outline, part.buffer(away + 0.3))
             whole = shapely.union_all([whole, shapely.union_all([part, near]).convex_hull])
     grown = largest(closed(whole, _PATCHES_M if is_named else _ROOM_M))
-    return (grown, float(grown.area - outline.area)) if grown is not None else (outline, 0.0)
+    return (grown, float(grown.area - outline.area), furniture) if grown is not None else (outline, 0.0, furniture)
+
+
+def _around(points: Array) -> Polygon:
+    """What furniture, of points of shape (n, 3), takes of the floor, with a margin."""
+    import shapely
+
+    pose, size = oriented_box(points)
+    return shapely.Polygon(box_footprint(flat(pose), size)[:, :2]).buffer(_AROUND_M, join_style="mitre")
 
 
 def _is_tall(points: Array) -> NDArray[np.bool_]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from shapely import MultiPoint, Polygon
 
+from tasks.capture.cloud import dense_cloud
 from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
 from tasks.capture.rooms.alignment import facets, floor_height
+from tasks.capture.rooms.room import estimate_room
 from tasks.geometry.meshes import Surface
 from tests.capture_scans import plate
-from tests.tasks.capture.test_partitions import DEPTH, WIDTH, estimated, shell, solid_piece
+from tests.tasks.capture.test_partitions import CLASSES, DEPTH, WIDTH, assembled, estimated, shell, solid_piece
 from tests.tasks.capture.test_slopes import attic
 
 
@@ -87,3 +90,29 @@ def test_what_lies_outside_of_walls_is_no_floor() -> None:
         pieces.append(("wall", plate([x0, y0, 0], up, [x1 - x0, y1 - y0, 0])))
     outside = solid_piece("bed", (4.0, 2.8, 0.0), (4.5, 3.3, 0.5))
     assert shapely.Polygon(estimated([*pieces, outside]).polygon).area == pytest.approx(18.0, abs=0.4)
+
+
+CORNERS = st.floats(-1.2, 5.4), st.floats(-1.2, 3.6), st.floats(0.0, 1.4)
+
+
+@given(st.lists(st.tuples(*CORNERS, st.floats(0.15, 1.6), st.floats(0.15, 1.2), st.floats(0, 3)), min_size=1, max_size=4))
+@settings(max_examples=25, deadline=None)
+def test_where_no_walls_are_named_all_furniture_stands_in_the_room(objects: list[tuple[float, ...]]) -> None:
+    """A patch of floor and boxes beside, over and around it, some in the air: few frames show what carries them."""
+    pieces = [solid_piece("bed", (x, y, low), (x + width, y + depth, low + 0.4), yaw) for x, y, low, width, depth, yaw in objects]
+    room = Polygon(estimated([("floor", plate((1.5, 1.0, 0.0), (3.0, 0.0, 0.0), (0.0, 2.0, 0.0))), *pieces]).polygon).buffer(1e-6)
+    for _, (points, _) in pieces:
+        assert room.contains(MultiPoint(points[:, :2]))
+
+
+def test_furniture_behind_a_wall_that_nobody_named_stands_in_another_room() -> None:
+    low, far = solid_piece("bed", (4.5, 1.5, 0.0), (5.2, 2.5, 0.5)), solid_piece("bed", (6.5, 1.5, 0.0), (7.2, 2.5, 0.5))
+    unnamed = solid_piece("wall", (6.0, 0.0, 0.0), (6.05, 4.0, 2.4))
+    pieces = [("floor", plate((1.5, 1.0, 0.0), (3.0, 0.0, 0.0), (0.0, 2.0, 0.0))), low, far, unnamed]
+    room = assembled(pieces)
+    instance = np.where(room.instance == 3, -1, room.instance)
+    cloud = dense_cloud(room.surface, instance)
+    classes = np.where(cloud.instance == 0, CLASSES["floor"], 0)
+    polygon = Polygon(estimate_room(cloud, classes).polygon)
+    assert polygon.contains(MultiPoint(low[1][0][:, :2]))
+    assert not polygon.intersects(MultiPoint(far[1][0][:, :2]))

@@ -35,18 +35,18 @@ def floor_without(low: tuple[float, float], high: tuple[float, float]) -> Array:
     return points[~((points > low) & (points < high)).all(axis=1)]
 
 
-def instance(category: str, points: Array, number: int = 0) -> Instance:
+def instance(category: str, points: Array, number: int = 0, probability: float | None = None) -> Instance:
     low, high = points.min(axis=0), points.max(axis=0)
     pose = yaw_pose(0.0, 0.5 * (low + high))
     return sample(
         Instance, instance_id=f"{number:04d}", category=category, is_structure=False, box_pose=flat(pose), box_size=tuple(high - low),
-        hidden_m=None,
+        hidden_m=None, category_probability=probability,
     )  # fmt: skip
 
 
-def whole(*objects: tuple[str, Array], floor: Array | None = None) -> list[tuple[Array, Array]]:
-    """Lowest and highest corner of every object with what is hidden of it [m]."""
-    rows = [instance(category, points, number) for number, (category, points) in enumerate(objects)]
+def whole(*objects: tuple[str, Array], floor: Array | None = None, probability: float | None = None) -> list[tuple[Array, Array]]:
+    """Lowest and highest corner of every object with what is hidden of it [m]. probability: of their categories, where they are guesses."""
+    rows = [instance(category, points, number, probability) for number, (category, points) in enumerate(objects)]
     made = with_hidden_parts(rows, [points for _, points in objects], floor_without((9, 9), (9, 9)) if floor is None else floor, ROOM)
     boxes = [grown_box(row.box_pose, row.box_size, row.hidden_m) for row in made]
     return [(pose[:3, 3] - 0.5 * size, pose[:3, 3] + 0.5 * size) for pose, size in boxes]
@@ -388,3 +388,37 @@ def test_a_cabinet_is_low_over_what_it_stands_on() -> None:
     front = grid((0.52, 1.0, 0.3), (0.58, 2.2, 1.0))
     (low, _), _ = whole(("kitchen cabinet", front), ("platform", stage))
     assert low[2] == pytest.approx(0.18, abs=0.02)
+
+
+NO_FLOOR = np.zeros((0, 2))
+SLAB, BACK, STRIP = grid((1.0, 1.0, 0.7), (2.0, 1.6, 0.74)), grid((1.0, 1.0, 0.5), (1.4, 1.5, 0.9)), grid((0.0, 1.0, 1.0), (0.05, 1.5, 1.3))
+
+
+@pytest.mark.parametrize(
+    ("points", "floor", "lowest"),
+    [
+        (SLAB, None, 0.0),  # as a table's top: the floor below is seen between legs
+        (BACK, NO_FLOOR, 0.0),  # its lower part was hidden
+        (BACK, None, 0.5),  # the floor was seen below: nobody knows what holds it
+        (STRIP, NO_FLOOR, 1.0),  # it hangs on the wall
+        (grid((1.0, 1.0, 1.5), (1.4, 1.5, 1.9)), NO_FLOOR, 1.5),  # nothing stands so high
+    ],
+)  # fmt: skip
+def test_what_geometry_could_not_name_stands_on_what_of_it_was_hidden(points: Array, floor: Array | None, lowest: float) -> None:
+    ((low, high),) = whole(("object", points), floor=floor, probability=0.6)
+    assert low[2] == pytest.approx(lowest, abs=1e-9)
+    assert high == pytest.approx(points.max(axis=0))
+    ((named_low, _),) = whole(("object", points), floor=floor)
+    assert named_low == pytest.approx(points.min(axis=0)), "what people called an object is nothing of the kind"
+
+
+def test_what_has_no_name_does_not_reach_through_what_stands_below_it() -> None:
+    """Over a sofa far below it, and on a box right below it."""
+    for top in (0.4, 0.68):
+        (low, _), _ = whole(
+            ("object", BACK + np.array([0.0, 0.0, 0.2])),
+            ("object", grid((0.9, 0.9, 0.0), (1.5, 1.6, top))),
+            floor=NO_FLOOR,
+            probability=0.6,
+        )
+        assert low[2] == pytest.approx(0.7)

@@ -29,6 +29,14 @@ def test_what_hangs_and_what_is_built_in_is_fixed(category: str) -> None:
         assert is_fixed(Carrier(relation, None, 0.0, 0.0), category) == (category in BUILT_IN)
 
 
+@pytest.mark.parametrize(
+    ("category", "is_held"), [("object", True), ("thingamajig", True), ("ball", False), ("chair", False), ("shelf", False)]
+)
+def test_what_nothing_carries_is_held_where_its_name_does_not_say_that_it_stands(category: str, is_held: bool) -> None:
+    (carrier,) = find_carriers([at(0, block(0.2, 0.2, 0.2), 0, 0, 1.2, category)], room(), CONFIG).values()
+    assert (carrier.relation, carrier.is_fixed) == ("none", is_held)
+
+
 def test_carriers_say_whether_they_are_fixed() -> None:
     objects = [at(0, block(0.5, 0.4, 0.8), 0, 0, 0, "toilet"), at(1, FRAME, -1.95, 0, 1.2, "picture"), at(2, CHAIR, 1, 1, 0, "chair")]
     assert {name: c.is_fixed for name, c in find_carriers(objects, room(), CONFIG).items()} == {"0000": True, "0001": True, "0002": False}
