@@ -103,15 +103,15 @@ def foreseen_rescans(lake: Lake, plan: Plan, configuration: Configuration, retry
     found = {job.scene_id: dict(job.outside)["rescanned_rooms"][1:] for job in jobs}
     fresh = {scene.scan.scene_id: room_of(scene.scan) for scene in plan.scenes if _is_captured_anew(scene)}
     rooms: defaultdict[str, set[str]] = defaultdict(set)
-    for scene, room in fresh.items():
-        rooms[room].add(scene)
+    for scene, name in fresh.items():
+        rooms[name].add(scene)
     for row in lake.snapshot().matching("scenes", {}, ["scene_id", "room_id", "scan_format"]).to_pylist() if fresh and lake.exists else ():
         if row["scan_format"] in SCAN_FORMATS and row["scene_id"] not in fresh:
             rooms[row["room_id"]].add(row["scene_id"])
     earlier = configuration.stages[STAGE].earlier
-    for room in map(sorted, rooms.values()):
-        for place, scene in enumerate(room):
-            before = tuple(reversed(room[max(0, place - earlier) : place]))
+    for scans in map(sorted, rooms.values()):
+        for place, scene in enumerate(scans):
+            before = tuple(reversed(scans[max(0, place - earlier) : place]))
             if before and not fresh.keys().isdisjoint((scene, *before)):
                 found[scene] = before
     return dict(sorted(found.items()))
