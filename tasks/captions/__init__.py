@@ -30,7 +30,7 @@ class CaptionsConfig(Config):
 def run(*, instances: list[Instance], frames: list[Frame], masks: list[Mask], context: Context, config: CaptionsConfig) -> Outcome:
     """A caption of every instance that is no structure."""
     captions: list[Caption] = []
-    degradations: list[str] = []
+    doubts: dict[tuple[str, str], list[str]] = {}
     if isinstance(config.provider, VisionLanguageCaptions):
         check(config.provider)
     known_frames = {frame.frame_id: frame for frame in frames}
@@ -46,8 +46,15 @@ def run(*, instances: list[Instance], frames: list[Frame], masks: list[Mask], co
             caption, *parts = described(instance, context, config.provider)
             problems = [problem for part in parts for problem in part]
         captions.append(caption)
-        degradations += [f"{instance.instance_id} {instance.category}: {problem}" for problem in problems]
-    return Outcome(captions=captions, degradations=degradations)
+        for problem in problems:
+            doubts.setdefault((instance.category, problem), []).append(instance.instance_id)
+    return Outcome(captions=captions, degradations=[_doubt(*about, whose) for about, whose in doubts.items()])
+
+
+def _doubt(category: str, problem: str, whose: list[str]) -> str:
+    """What could not be told well of some objects of a category, in a line."""
+    more = f" and {len(whose) - 1} more" if len(whose) > 1 else ""
+    return f"{whose[0]}{more} {category}: {problem}"
 
 
 STAGE = Stage(name="captions", reads=("instances", "frames", "masks"), writes=("captions",), config=CaptionsConfig, run=run)

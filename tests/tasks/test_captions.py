@@ -205,9 +205,10 @@ def test_a_room_is_captioned() -> None:
         an_instance(3, "wall", (4, 0.1, 2.5), white, is_structure=True, nyu40_id=1, nyu40_label="wall"),
         an_instance(4, "gizmo", (0.2, 0.2, 0.2), white[:4]),
         an_instance(5, "bathtub", (4.0, 3.0, 2.0), white),
+        *(an_instance(number, "doodad", (0.2, 0.2, 0.2), white) for number in (6, 7, 8)),
     )
-    assert [row.instance_id for row in rows] == ["0001", "0002", "0004", "0005"]
-    pillow, chair, gizmo, tub = rows
+    assert [row.instance_id for row in rows] == ["0001", "0002", "0004", "0005", "0006", "0007", "0008"]
+    pillow, chair, gizmo, tub, *_ = rows
     assert chair.sentence == "A brown wooden chair with a tall back."
     assert chair.materials[0] == "wood"
     assert (pillow.body_type, chair.body_type) == ("soft", "rigid")
@@ -219,6 +220,9 @@ def test_a_room_is_captioned() -> None:
     assert "0004 gizmo: category is not in the table" in text
     assert "0004 gizmo: 4 points are too few" in text
     assert "0002" not in text
+    assert [problem for problem in problems if "doodad" in problem] == [
+        "0006 and 2 more doodad: category is not in the table; attributes of generic:small taken"
+    ]
 
 
 def test_points_that_cannot_be_read_cost_the_color_only() -> None:
