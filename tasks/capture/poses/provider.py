@@ -61,8 +61,8 @@ def with_poses(reading: Reading, config: PosesConfig, name: str) -> tuple[Readin
     if isinstance(provider, GivenPoses):
         if not is_posed:
             lost = [note for note in reading.degradations if "without a pose" in note and "(missing)" not in note]
-            raise InputError(name, "poses", f"none can be used ({'; '.join(lost)})" if lost else "there are none", f"{_WRITE}; {_FIND}")
-        return reading, [] if fits else [f"poses: {misfit}; {_FIND}"]
+            raise InputError(name, "poses", f"none can be used ({'; '.join(lost)})" if lost else "there are none", f"{_WRITE}; or have them found: {_FIND}")
+        return reading, [] if fits else [f"poses: {misfit}; refine them: {_FIND}"]
     missing = sum(reading.frames[i].pose is None for i in usable)
     if is_posed and fits and not missing and not provider.always:
         return reading, []
@@ -83,7 +83,7 @@ def with_poses(reading: Reading, config: PosesConfig, name: str) -> tuple[Readin
 
 
 _WRITE = "add pose.txt with one camera-to-world pose a line, or a folder pose"
-_FIND = "or have them found: `make open3d`, then --set capture.poses.provider.kind=open3d"
+_FIND = "`make open3d`, then --set capture.poses.provider.kind=open3d"
 
 
 def _found(frames: Sequence[FrameSource], chosen: Sequence[int], provider: Open3DPoses) -> tuple[tuple[FrameSource, ...], str]:
