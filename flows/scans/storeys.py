@@ -16,14 +16,12 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
 from tasks.capture.formats import survey
+from tasks.capture.layout import STOREYS_RECORD
 from tasks.capture.scan import Scan
 
 if TYPE_CHECKING:
     from tasks.capture.scenes import CaptureConfig
     from tasks.capture.storeys.splitting import Divided
-
-RECORD = "storeys.json"
-"""In the folder of a scan's storeys, written last: what they were made from, and how they are joined again."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,10 +91,10 @@ def _record(folder: Path) -> dict[str, Any] | None:
     Raises:
         InputError: what it says cannot be read.
     """
-    path = folder / RECORD
+    path = folder / STOREYS_RECORD
     if not path.is_file():
         return None
-    name = f"{folder.name}/{RECORD}"
+    name = f"{folder.name}/{STOREYS_RECORD}"
     try:
         record = json.loads(read_file(path, name, BUDGET.settings_bytes))
         _ = [(str(storey["scan"]), float(storey["floor_m"])) for storey in record["storeys"]]
@@ -133,7 +131,7 @@ def _write(folder: Path, scan: Divided, record: dict[str, Any]) -> list[str]:
     making.mkdir(parents=True)
     try:
         notes = write_divided(making, scan)
-        (making / RECORD).write_text(json.dumps(record, indent=1) + "\n")
+        (making / STOREYS_RECORD).write_text(json.dumps(record, indent=1) + "\n")
         if folder.exists():
             os.replace(folder, former)
         os.replace(making, folder)

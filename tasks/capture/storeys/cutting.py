@@ -84,8 +84,11 @@ def _halves(height: Array, faces: Integers, at: float) -> tuple[Crossings, tuple
     edges = np.stack([corners[:, [0, 1]], corners[:, [0, 2]]], axis=1).reshape(-1, 2)
     ends, place = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True) if len(edges) else (edges, np.zeros(0, dtype=np.int64))
     low, high = height[ends[:, 0]], height[ends[:, 1]]
-    share = np.clip((at - low) / np.where(high == low, 1.0, high - low), 0.0, 1.0)
-    new = len(height) + place.reshape(-1, 2)
+    is_new = (low != at) & (high != at)  # else the edge has a vertex there already
+    number = np.where(low == at, ends[:, 0], ends[:, 1])
+    number[is_new] = len(height) + np.arange(int(is_new.sum()))
+    share = ((at - low) / np.where(high == low, 1.0, high - low))[is_new]
+    new = number[place].reshape(-1, 2)
     tip = np.stack([corners[:, 0], new[:, 0], new[:, 1]], axis=1)
     base = np.concatenate([
         np.stack([new[:, 0], corners[:, 1], corners[:, 2]], axis=1), np.stack([new[:, 0], corners[:, 2], new[:, 1]], axis=1),
@@ -93,12 +96,16 @@ def _halves(height: Array, faces: Integers, at: float) -> tuple[Crossings, tuple
     twice, alone_twice = np.concatenate([cut, cut]), np.concatenate([alone_above, alone_above])
     below = _gathered((faces, whole[~is_above[whole]]), (tip, cut, ~alone_above), (base, twice, alone_twice))
     above = _gathered((faces, whole[is_above[whole]]), (tip, cut, alone_above), (base, twice, ~alone_twice))
-    return Crossings(ends, share), below, above
+    return Crossings(ends[is_new], share), below, above
 
 
 def _gathered(whole: tuple[Integers, Integers], *pieces: tuple[Integers, Integers, NDArray[np.bool_]]) -> tuple[Integers, Integers]:
-    """Faces that stay whole and pieces of others, with the face that each is of, in the order of those."""
-    faces = [whole[0][whole[1]], *(part[chosen] for part, _, chosen in pieces)]
-    of = np.concatenate([whole[1], *(origin[chosen] for _, origin, chosen in pieces)])
+    """Faces that stay whole and pieces of others that have three corners, with the face that each is of, in the order of those."""
+    faces, origins = [whole[0][whole[1]]], [whole[1]]
+    for part, origin, chosen in pieces:
+        kept = chosen & (part != np.roll(part, 1, axis=1)).all(axis=1)
+        faces.append(part[kept])
+        origins.append(origin[kept])
+    of = np.concatenate(origins)
     order = np.argsort(of, kind="stable")
     return np.concatenate(faces)[order], of[order]

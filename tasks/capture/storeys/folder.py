@@ -52,12 +52,12 @@ def write_storey(folder: Path, storey: Reading, scan: Path, is_ply: bool, to_lev
         (folder / "LICENSE.txt").write_text(storey.license + "\n")
     if storey.surface is None:
         _write_frames(folder, frames, scan)
-    elif storey.parts or not (storey.groups or frames or is_ply):
+    elif is_ply and storey.groups is None and not frames:
+        write_mesh(folder / f"{name}.ply", storey.surface)
+    elif storey.parts or not (storey.groups or frames):
         parts: Sequence[trimesh.Trimesh] = storey.parts or (storey.surface.to_trimesh(),)
         names = [str(part.metadata["name"]) for part in parts] if storey.parts else ["scan_0"]
         (folder / f"{name}.glb").write_bytes(dump_glb(parts, names))
-    elif storey.groups is None and not frames:
-        write_mesh(folder / f"{name}.ply", storey.surface)
     else:
         write_mesh(folder / f"{name}_vh_clean_2.ply", storey.surface)
         (folder / f"{name}.txt").write_text(_metadata(storey, to_level))

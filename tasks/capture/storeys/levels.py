@@ -66,6 +66,9 @@ _MOST_HOLE_CELLS = 90
 _UP, _UPRIGHT = 0.85, 0.3
 """Vertical part of the normals of floors that were scanned with noise, and of walls."""
 
+_LARGE = 0.3
+"""Of the largest level of a storey: landings and tops of furniture have less."""
+
 _SLAB_M = 0.1
 """Below a floor where nothing else says how thick its slab is: thinner ones carry nobody."""
 
@@ -118,7 +121,7 @@ def levels(surface: Surface, config: StoreyConfig) -> Levels:
         if height < floors[-1] + config.min_rise_m:
             continue
         floor = _main(plan.up, heights, height, _FURNITURE_M)
-        if _is_storey(plan, [low for low in heights if base <= low <= height - config.clear_m], floors[-1], floor, config):
+        if _is_storey(plan, [low for low in heights if base <= low < height - 0.5], floor, config):
             cuts.append(_cut(plan, floors[-1], floor, config))
             floors.append(floor)
             base = height
@@ -168,10 +171,11 @@ def _level_heights(up: _Seen, config: StoreyConfig) -> list[float]:
     least = max(config.min_floor_m2, 0.1 * config.min_share * float(area.max()))
     found = []
     while (best := float(area.max())) >= least:
-        peak = start + (float(np.flatnonzero(area == best).mean()) + 0.5) * _BIN_M
+        first = int(np.argmax(area))
+        equal = int(np.argmin(np.append(area[first : first + _BAND_BINS] == best, False)))  # all bins around a thin floor are as full
+        peak = start + (first + 0.5 * equal) * _BIN_M
         found.append(float(np.median(up.height[up.between(peak - _BAND_M, peak + _BAND_M)])))
-        near = np.abs(start + (np.arange(len(area)) + 0.5) * _BIN_M - peak) < 0.5
-        area[near | (area == best)] = 0.0
+        area[np.abs(start + (np.arange(len(area)) + 0.5) * _BIN_M - peak) < 0.5] = 0.0
     return sorted(found)
 
 
@@ -181,14 +185,15 @@ def _main(up: _Seen, heights: list[float], lowest: float, reach: float) -> float
     return max(near, key=lambda height: (int(up.between(height - _BAND_M, height + _BAND_M).sum()), -height))
 
 
-def _is_storey(plan: _Plan, below: list[float], lower: float, floor: float, config: StoreyConfig) -> bool:
-    """Whether a floor is a storey's. below: Levels of the storey below it, of which `lower` is the floor [m]."""
+def _is_storey(plan: _Plan, below: list[float], floor: float, config: StoreyConfig) -> bool:
+    """Whether a floor is a storey's. below: Levels of the storey below it, its floor among them [m]."""
     from scipy import ndimage
 
     on_floor = plan.cells(plan.up, plan.up.between(floor - _BAND_M, floor + _BAND_M))
     area = plan.area(on_floor)
-    walked = np.any([plan.cells(plan.up, plan.up.between(low - _BAND_M, low + _BAND_M)) for low in below], axis=0)
-    if area < max(config.min_floor_m2, config.min_share * plan.area(walked)):
+    walked = {low: plan.cells(plan.up, plan.up.between(low - _BAND_M, low + _BAND_M)) for low in below}
+    most = max(int(cells.sum()) for cells in walked.values())
+    if area < max(config.min_floor_m2, config.min_share * most * _CELL_M**2):
         return False
     overhead = plan.cells(plan.down, plan.down.between(floor + 1.0, floor + config.clear_m))
     if (on_floor & overhead).sum() > 0.5 * on_floor.sum():
@@ -199,9 +204,12 @@ def _is_storey(plan: _Plan, below: list[float], lower: float, floor: float, conf
     walls = float(near.ravel()[plan.upright.cell[rising]].sum()) * plan.upright.area
     if walls < config.min_walls * 4.0 * np.sqrt(area):
         return False
-    roofed = plan.cells(plan.down, plan.down.between(lower + config.clear_m, floor + 0.05))
-    covered = ndimage.binary_dilation(footprint | roofed) & walked
-    return bool(covered.sum() >= config.min_cover * walked.sum())
+    for low, cells in walked.items():
+        roofed = plan.cells(plan.down, plan.down.between(low + config.clear_m, floor + 0.05))
+        covered = ndimage.binary_dilation(footprint | roofed) & cells
+        if cells.sum() > _LARGE * most and covered.sum() < config.min_cover * cells.sum():
+            return False  # also where half a storey higher is floor, whose rooms reach past this one
+    return True
 
 
 def _closed(cells: Mask) -> Mask:
