@@ -35,6 +35,7 @@ class Builder:
     """Pieces of a house, in the order in which they are added."""
 
     pieces: list[tuple[str, int, Mesh]] = dataclasses.field(default_factory=list)
+    step: float = STEP
 
     def add(self, label: str, storey: int, mesh: Mesh) -> None:
         """One more instance."""
@@ -43,18 +44,18 @@ class Builder:
     def box(self, label: str, storey: int, low: Sequence[float], high: Sequence[float]) -> None:
         """A box between two corners [m]."""
         a, b = np.array(low, dtype=float), np.array(high, dtype=float)
-        self.add(label, storey, box_plates(b - a, yaw_pose(0.0, (a + b) / 2), STEP))
+        self.add(label, storey, box_plates(b - a, yaw_pose(0.0, (a + b) / 2), self.step))
 
     def room(self, storey: int, low: Sequence[float], size: Sequence[float], has_ceiling: bool = True) -> None:
         """Floor, walls and ceiling around a box of air, as seen from inside."""
         corner, (x, y, z) = np.array(low, dtype=float), size
-        self.add("floor", storey, plate(corner, [x, 0, 0], [0, y, 0], STEP))
-        self.add("wall", storey, plate(corner, [0, 0, z], [x, 0, 0], STEP))
-        self.add("wall", storey, plate(corner + np.array([0, y, 0]), [x, 0, 0], [0, 0, z], STEP))
-        self.add("wall", storey, plate(corner, [0, y, 0], [0, 0, z], STEP))
-        self.add("wall", storey, plate(corner + np.array([x, 0, 0]), [0, 0, z], [0, y, 0], STEP))
+        self.add("floor", storey, plate(corner, [x, 0, 0], [0, y, 0], self.step))
+        self.add("wall", storey, plate(corner, [0, 0, z], [x, 0, 0], self.step))
+        self.add("wall", storey, plate(corner + np.array([0, y, 0]), [x, 0, 0], [0, 0, z], self.step))
+        self.add("wall", storey, plate(corner, [0, y, 0], [0, 0, z], self.step))
+        self.add("wall", storey, plate(corner + np.array([x, 0, 0]), [0, 0, z], [0, y, 0], self.step))
         if has_ceiling:
-            self.add("ceiling", storey, plate(corner + np.array([0, 0, z]), [0, y, 0], [x, 0, 0], STEP))
+            self.add("ceiling", storey, plate(corner + np.array([0, 0, z]), [0, y, 0], [x, 0, 0], self.step))
 
     def house(self, floors: Sequence[float], slabs: Sequence[tuple[float, float]] = ()) -> House:
         """All pieces as one mesh."""
