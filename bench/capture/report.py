@@ -34,7 +34,7 @@ class CaptureBench:
     realdata: Path | None = None
     parts: tuple[str, ...] = PARTS
     rooms: int = 10
-    houses: int = 24
+    houses: int = 16
 
     @property
     def advances(self) -> int:

@@ -24,7 +24,7 @@ from flows.commands.options import json_option
     envvar="METASCENES_REALDATA",
     help="Folder with real frames and scans by others.",
 )
-@click.option("--houses", type=click.IntRange(1, 10_000), default=24, show_default=True, help="Generated houses of up to three storeys.")
+@click.option("--houses", type=click.IntRange(1, 10_000), default=16, show_default=True, help="Generated houses of up to three storeys.")
 @click.option("--parts", default="", help="Measure only these, with commas between: frames, meshes, poses, storeys.")
 @json_option
 def capture(

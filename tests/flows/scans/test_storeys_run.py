@@ -33,7 +33,7 @@ def furnished_house() -> House:
 
 
 def test_a_house_of_two_storeys_becomes_two_scenes_with_their_floors_at_zero(home: dict[str, str], tmp_path: Path) -> None:  # noqa: F811
-    from pxr import Gf, Usd, UsdGeom
+    from pxr import Usd, UsdGeom
 
     house = furnished_house()
     write_scannet(tmp_path / "scans" / "scene0000_00", BoxRoom(house.surface, house.instance, house.labels, ()), frames="none")
@@ -60,11 +60,17 @@ def test_a_house_of_two_storeys_becomes_two_scenes_with_their_floors_at_zero(hom
     out = metascenes(home, "export", "--lake", tmp_path / "lake", "--out", tmp_path / "out")
     assert out.returncode == 0, out.stderr
     for scene, _, _ in scenes:
-        (path,) = (tmp_path / "out").rglob(f"*{scene.partition('/')[2]}*.usd*")
-        stage = Usd.Stage.Open(str(path))
+        stage = Usd.Stage.Open(str(tmp_path / "out" / "usd" / scene.replace("/", "_") / "scene.usda"))
+        assert UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
         cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), [UsdGeom.Tokens.default_, UsdGeom.Tokens.render])
-        boxes = {p.GetPath().pathString: cache.ComputeWorldBound(p).ComputeAlignedRange() for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)}
-        floors = [Gf.Range3d(box) for name, box in boxes.items() if "floor" in name.lower().partition("/")[2].rpartition("scene")[2]]
-        assert floors, sorted(boxes)
-        assert max(box.GetMax()[2] for box in floors) == pytest.approx(0.0, abs=0.01)
-        assert max(box.GetMax()[2] for box in boxes.values()) < RISE
+
+        def box(path: str, stage: Usd.Stage = stage, cache: UsdGeom.BBoxCache = cache) -> np.ndarray:
+            bound = cache.ComputeWorldBound(stage.GetPrimAtPath(path)).ComputeAlignedRange()
+            return np.array([bound.GetMin(), bound.GetMax()])
+
+        floor = box("/World/Room/Floor/Visual")
+        assert floor[1, 2] == pytest.approx(0.0, abs=1e-6)
+        assert (floor[1] - floor[0])[:2] == pytest.approx(np.array(SIZE[:2]) + 0.2, abs=0.05)
+        objects = [str(prim.GetPath()) for prim in stage.GetPrimAtPath("/World/Objects").GetChildren() if "stairs" not in prim.GetName()]
+        assert len(objects) == 2
+        assert all(box(path)[0, 2] == pytest.approx(0.0, abs=2e-3) for path in objects)
