@@ -74,13 +74,13 @@ class House:
 
 @dataclasses.dataclass(frozen=True)
 class HouseScore:
-    """What was made of a house. storeys, found: How many it has, and how many were found. off_m: How far the cuts are from the middles of
+    """What was made of a house. storeys, counted: How many it has, and how many were found. off_m: How far the cuts are from the middles of
     their slabs, at worst, and beside_m from the slabs; None where not as many were found. lost: Share of the surface that no storey has.
     misplaced: Share that is in another storey than its own."""
 
     kind: str
     storeys: int
-    found: int
+    counted: int
     off_m: float | None
     beside_m: float | None
     lost: float
@@ -98,18 +98,18 @@ def storeys_report(houses: int, seed: int) -> dict[str, Any]:
     return {
         "rows": rows,
         "goals": [
-            goal("storeys: houses divided right [share]", _share([score.found == score.storeys for score in scores]), ">=", 0.95),
+            goal("storeys: houses divided right [share]", _share([score.counted == score.storeys for score in scores]), ">=", 0.95),
             goal("storeys: cut beside its slab at worst [m]", _most([score.beside_m for score in scores]), "<=", 0.05),
             goal("storeys: surface lost at worst [share]", _most([score.lost for score in scores]), "<=", 1e-6),
             goal("storeys: surface in another storey at worst [share]", _most(
-                [score.misplaced for score in scores if score.found == score.storeys]), "<=", 0.02),
+                [score.misplaced for score in scores if score.counted == score.storeys]), "<=", 0.02),
         ],
     }  # fmt: skip
 
 
 def _row(kind: str, storeys: int, scores: Sequence[HouseScore]) -> dict[str, Any]:
     own = [score for score in scores if (score.kind, score.storeys) == (kind, storeys)]
-    right = [score for score in own if score.found == storeys]
+    right = [score for score in own if score.counted == storeys]
     return {
         "kind": kind, "storeys": storeys, "houses": len(own), "right": len(right), "off_m": _most([score.off_m for score in right]),
         "beside_m": _most([score.beside_m for score in right]), "lost": _most([score.lost for score in own]),
@@ -128,21 +128,21 @@ def _most(values: Sequence[float | None]) -> float | None:
 
 def scored(house: House) -> HouseScore:
     """What is found in a house, leveled as capture does it, and how it is divided."""
-    clock = time.perf_counter()
+    clock = time.process_time()
     pose = align(house.surface).pose
-    found = levels(house.surface.transformed(pose), StoreyConfig())
-    pieces = [storey.reading.surface for storey in storeys_of(Reading(house.surface), [], pose, found)]
-    seconds = time.perf_counter() - clock
+    parted = levels(house.surface.transformed(pose), StoreyConfig())
+    pieces = [storey.reading.surface for storey in storeys_of(Reading(house.surface), [], pose, parted)]
+    seconds = time.process_time() - clock
     areas = face_areas(house.surface.vertices, house.surface.faces)
     divided = sum(float(face_areas(piece.vertices, piece.faces).sum()) for piece in pieces if piece is not None)
     height = transform_points(house.surface.vertices[house.surface.faces].mean(axis=1), pose)[:, 2]
-    is_off = (found.storey_of(height) != house.storey) & (house.storey != NOBODYS)
+    is_off = (parted.storey_of(height) != house.storey) & (house.storey != NOBODYS)
     off = beside = None
-    if len(found.cuts) == len(house.middles):
-        away = np.abs(np.array(found.cuts) - found.floors[0] - house.middles)
+    if len(parted.cuts) == len(house.middles):
+        away = np.abs(np.array(parted.cuts) - parted.floors[0] - house.middles)
         off, beside = float(away.max(initial=0.0)), float(np.maximum(away - house.slabs / 2, 0.0).max(initial=0.0))
     return HouseScore(
-        house.kind, len(house.middles) + 1, len(found.floors), off, beside, abs(1.0 - divided / float(areas.sum())),
+        house.kind, len(house.middles) + 1, len(parted.floors), off, beside, abs(1.0 - divided / float(areas.sum())),
         float(areas[is_off].sum() / areas.sum()), seconds,
     )  # fmt: skip
 

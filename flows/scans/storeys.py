@@ -65,17 +65,21 @@ def _divide(scan: Scan, out: Path, config: CaptureConfig, hashes: FileHashes, dr
 
     folder = out / scan.scan
     known = _record(folder)
+    if known is not None and known["scene_id"] != scan.scene_id:
+        raise InputError(folder, "folder", f"has the storeys of {known['scene_id']}", "name another --out, or remove it")
     code = code_fingerprint("tasks.capture.storeys.splitting")
     mark = digest(content_of(scan, survey(scan)[0], hashes).named, scan.format, canonical_json(config), code)
     if known is not None and known.get("mark") == mark:
         return _outcome(scan, "unchanged", known)
     if known is None and folder.exists():
         raise InputError(folder, "folder", "is there already, and is none of storeys", "name another --out, or remove it")
-    found = divided(scan, config)
-    if not found.storeys:
-        return ScanStoreys(scan.scene_id, str(scan.path), "whole", notes=found.notes)
-    record = _facts(found, mark)
-    notes = found.notes if dry_run else (*found.notes, *_write(folder, found, record))
+    parted = divided(scan, config)
+    if not parted.storeys:
+        if known is not None and not dry_run:
+            _remove(folder)
+        return ScanStoreys(scan.scene_id, str(scan.path), "whole", notes=parted.notes)
+    record = _facts(parted, mark)
+    notes = parted.notes if dry_run else (*parted.notes, *_write(folder, parted, record))
     return _outcome(scan, "divided", record, notes)
 
 
@@ -97,7 +101,7 @@ def _record(folder: Path) -> dict[str, Any] | None:
     name = f"{folder.name}/{STOREYS_RECORD}"
     try:
         record = json.loads(read_file(path, name, BUDGET.settings_bytes))
-        _ = [(str(storey["scan"]), float(storey["floor_m"])) for storey in record["storeys"]]
+        _ = record["scene_id"], [(str(storey["scan"]), float(storey["floor_m"])) for storey in record["storeys"]]
     except (ValueError, TypeError, KeyError) as error:
         raise InputError(name, "content", "is no record of storeys", "remove the folder") from error
     return dict(record)
@@ -118,14 +122,27 @@ def _facts(scan: Divided, mark: str) -> dict[str, Any]:
         for storey in scan.storeys
     ]
     cuts = [round(cut - lowest, 6) for cut in scan.levels.cuts]
-    return {"scan": scan.scan.scan, "format": scan.scan.format, "cuts_m": cuts, "storeys": storeys, "mark": mark}
+    return {"scene_id": scan.scan.scene_id, "format": scan.scan.format, "cuts_m": cuts, "storeys": storeys, "mark": mark}
+
+
+def _remove(folder: Path) -> None:
+    """Take away the storeys of a scan that has one now."""
+    former = _beside(folder, "former")
+    shutil.rmtree(former, ignore_errors=True)
+    os.replace(folder, former)
+    shutil.rmtree(former)
+
+
+def _beside(folder: Path, word: str) -> Path:
+    """A hidden folder beside that of a scan's storeys, in which nobody looks for scans."""
+    return folder.with_name(f".{folder.name}.{word}")
 
 
 def _write(folder: Path, scan: Divided, record: dict[str, Any]) -> list[str]:
     """Put the folder of a scan's storeys in its place, or in that of a former one."""
     from tasks.capture.storeys.splitting import write_divided
 
-    making, former = (folder.with_name(f".{folder.name}.{word}") for word in ("making", "former"))
+    making, former = _beside(folder, "making"), _beside(folder, "former")
     for left in (making, former):  # by somebody who was killed
         shutil.rmtree(left, ignore_errors=True)
     making.mkdir(parents=True)

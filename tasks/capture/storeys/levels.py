@@ -169,14 +169,14 @@ def _level_heights(up: _Seen, config: StoreyConfig) -> list[float]:
     start = float(up.height.min())
     area = np.convolve(np.bincount(((up.height - start) / _BIN_M).astype(np.int64)) * up.area, np.ones(_BAND_BINS), mode="same")
     least = max(config.min_floor_m2, 0.1 * config.min_share * float(area.max()))
-    found = []
+    peaks = []
     while (best := float(area.max())) >= least:
         first = int(np.argmax(area))
         equal = int(np.argmin(np.append(area[first : first + _BAND_BINS] == best, False)))  # all bins around a thin floor are as full
         peak = start + (first + 0.5 * equal) * _BIN_M
-        found.append(float(np.median(up.height[up.between(peak - _BAND_M, peak + _BAND_M)])))
+        peaks.append(float(np.median(up.height[up.between(peak - _BAND_M, peak + _BAND_M)])))
         area[np.abs(start + (np.arange(len(area)) + 0.5) * _BIN_M - peak) < 0.5] = 0.0
-    return sorted(found)
+    return sorted(peaks)
 
 
 def _main(up: _Seen, heights: list[float], lowest: float, reach: float) -> float:

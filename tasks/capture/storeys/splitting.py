@@ -67,8 +67,8 @@ def divided(scan: Scan, config: CaptureConfig) -> Divided:
         surface, more = fused_surface(reading.frames, config.fusion, scan.path.name)
         notes = [*notes, *more]
     pose = aligned(reading, surface, meanings, config.votes, is_authored=is_modelled).pose
-    found = levels(surface.transformed(pose), config.storeys)
-    storeys = storeys_of(reading, meanings, pose, found) if found.cuts else ()
+    parted = levels(surface.transformed(pose), config.storeys)
+    storeys = storeys_of(reading, meanings, pose, parted) if parted.cuts else ()
     for storey in storeys:
         if storey.reading.surface is None and not storey.reading.frames:
             problem = f"no frame was taken in storey {storey.number}, and there is no mesh"
@@ -76,7 +76,7 @@ def divided(scan: Scan, config: CaptureConfig) -> Divided:
     lost = len(reading.frames) - sum(len(storey.reading.frames) for storey in storeys)
     if storeys and lost:
         notes = [*notes, f"{lost} of {len(reading.frames)} frames have no pose and are in no storey"]
-    return Divided(scan, reading, found, pose, storeys, tuple(notes))
+    return Divided(scan, reading, parted, pose, storeys, tuple(notes))
 
 
 def write_divided(folder: Path, scan: Divided) -> list[str]:

@@ -244,6 +244,15 @@ def test_a_scan_that_changed_is_divided_anew_and_takes_the_place_of_the_former(t
     assert [row.action for row in again if row.scene_id == "mesh/house"] == ["divided"]  # by other settings
 
 
+def test_the_storeys_of_a_scan_that_has_one_now_are_taken_away(tmp_path: Path, scans: Path) -> None:
+    divide(scans / "house.ply", tmp_path / "out")
+    (scans / "house.ply").write_bytes(ply_bytes(house_of(1, (7.0, 9.0), 2.5, 0.3).surface))
+    assert [row.action for row in divide(scans / "house.ply", tmp_path / "out", dry_run=True)] == ["whole"]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["house"]
+    assert [row.action for row in divide(scans / "house.ply", tmp_path / "out")] == ["whole"]
+    assert list((tmp_path / "out").iterdir()) == []
+
+
 @pytest.mark.parametrize("at", ["the second storey", "the record", "the place"])
 def test_a_folder_is_there_whole_or_not_at_all(tmp_path: Path, scans: Path, monkeypatch: pytest.MonkeyPatch, at: str) -> None:
     """Whatever stops it in between; the same command then does what is missing."""
@@ -281,6 +290,15 @@ def test_what_is_no_folder_of_storeys_is_not_touched(tmp_path: Path, scans: Path
     (row,) = (row for row in divide(scans, tmp_path / "out") if row.scene_id == "mesh/house")
     assert row.error == f"house/{RECORD}: content: is no record of storeys; remove the folder"
     assert (tmp_path / "out" / "house" / "thesis.txt").read_text() == "mine"
+
+
+def test_two_scans_of_one_name_do_not_take_each_others_folder(tmp_path: Path, scans: Path) -> None:
+    divide(scans / "house.ply", tmp_path / "out")
+    made = tree(tmp_path / "out")
+    found, _ = find_scans(scans / "house.ply", dataset="other")
+    (row,) = divide_scans(found, tmp_path / "out", CaptureConfig())
+    assert row.error.endswith("house: folder: has the storeys of mesh/house; name another --out, or remove it")
+    assert tree(tmp_path / "out") == made
 
 
 def test_the_command_says_what_it_does_and_ends_with_1_where_a_scan_cannot_be_read(tmp_path: Path, scans: Path) -> None:
