@@ -30,6 +30,7 @@ class StoreyConfig(Config):
     min_floor_m2: Positive = 4.0  # Of floor that was seen: the tops of a row of wardrobes have less.
     min_share: Share = 0.12  # Of the floor below that its own has at least: a single room below the roof of a house.
     min_cover: Share = 0.6  # Of what is walked on below that lies under its floor or a ceiling: codes let mezzanines cover up to half.
+    min_parted_cover: Share = 0.3  # The same where walls end below the slab: what is open has walls that go on, what was badly scanned not.
     min_walls: Share = 0.3  # Of the outline of its floor from which walls rise: from a flat roof that was seen from above none do.
 
 
@@ -68,6 +69,9 @@ _UP, _UPRIGHT = 0.85, 0.3
 
 _LARGE = 0.3
 """Of the largest level of a storey: landings and tops of furniture have less."""
+
+_THROUGH = 0.15
+"""Share of the walls below that go on through a slab where rooms were scanned from inside: those of stairs."""
 
 _SLAB_M = 0.1
 """Below a floor where nothing else says how thick its slab is: thinner ones carry nobody."""
@@ -121,8 +125,9 @@ def levels(surface: Surface, config: StoreyConfig) -> Levels:
         if height < floors[-1] + config.min_rise_m:
             continue
         floor = _main(plan.up, heights, height, _FURNITURE_M)
-        if _is_storey(plan, [low for low in heights if base <= low < height - 0.5], floor, config):
-            cuts.append(_cut(plan, floors[-1], floor, config))
+        cut = _cut(plan, floors[-1], floor, config)
+        if _is_storey(plan, [low for low in heights if base <= low < height - 0.5], floor, cut, config):
+            cuts.append(cut)
             floors.append(floor)
             base = height
     return Levels(tuple(floors), tuple(cuts))
@@ -185,8 +190,8 @@ def _main(up: _Seen, heights: list[float], lowest: float, reach: float) -> float
     return max(near, key=lambda height: (int(up.between(height - _BAND_M, height + _BAND_M).sum()), -height))
 
 
-def _is_storey(plan: _Plan, below: list[float], floor: float, config: StoreyConfig) -> bool:
-    """Whether a floor is a storey's. below: Levels of the storey below it, its floor among them [m]."""
+def _is_storey(plan: _Plan, below: list[float], floor: float, cut: float, config: StoreyConfig) -> bool:
+    """Whether a floor is a storey's. below: Levels of the storey below it, its floor among them [m]. cut: Height within its slab [m]."""
     from scipy import ndimage
 
     on_floor = plan.cells(plan.up, plan.up.between(floor - _BAND_M, floor + _BAND_M))
@@ -204,12 +209,19 @@ def _is_storey(plan: _Plan, below: list[float], floor: float, config: StoreyConf
     walls = float(near.ravel()[plan.upright.cell[rising]].sum()) * plan.upright.area
     if walls < config.min_walls * 4.0 * np.sqrt(area):
         return False
+    cover = config.min_parted_cover if _is_parted(plan, cut) else config.min_cover
     for low, cells in walked.items():
         roofed = plan.cells(plan.down, plan.down.between(low + config.clear_m, floor + 0.05))
         covered = ndimage.binary_dilation(footprint | roofed) & cells
-        if cells.sum() > _LARGE * most and covered.sum() < config.min_cover * cells.sum():
+        if cells.sum() > _LARGE * most and covered.sum() < cover * cells.sum():
             return False  # also where half a storey higher is floor, whose rooms reach past this one
     return True
+
+
+def _is_parted(plan: _Plan, cut: float) -> bool:
+    """Whether walls end below a cut, and begin above it: rooms that were scanned from inside, with a slab between."""
+    through, below = (int(plan.upright.between(cut - low, cut - high).sum()) for low, high in ((0.05, -0.05), (1.2, 0.7)))
+    return through <= _THROUGH * below / 5
 
 
 def _closed(cells: Mask) -> Mask:
