@@ -16,6 +16,7 @@ COMMANDS = {
     "run": "Turn a folder of scans into replica scenes in a lake.",
     "watch": "Turn new and changed scans into replica scenes as they arrive.",
     "scan": "Scan a furnished GLB scene with the virtual scanner.",
+    "storeys": "Divide scans of several floors into a scan of each.",
     "sql": "Ask the lake a question in SQL; reads only.",
     "explain": "Say what an object, a scene, an asset, a model or a file was made from.",
     "view": "Show scenes in the browser: scan, replica, and all that is known of each object.",

@@ -18,11 +18,11 @@ from bench.goals import goal
 from schemas.errors import InputError
 from tasks.capture.formats import find_scans
 from tasks.capture.fusion import FusionConfig, fused_surface
+from tasks.capture.leveling import read_scan
 from tasks.capture.poses.fit import pose_fit
 from tasks.capture.poses.open3d import Open3DPoses
 from tasks.capture.poses.provider import PosesConfig, moved_onto, with_poses
 from tasks.capture.reading import FrameSource
-from tasks.capture.scenes import read_scan
 from tasks.geometry.transforms import transform_points
 
 Array = NDArray[np.float64]

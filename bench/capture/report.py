@@ -8,21 +8,23 @@ from pathlib import Path
 from typing import Any
 
 from bench.capture.frames import frames_report
+from bench.capture.houses import storeys_report
 from bench.capture.meshes import meshes_report
 from bench.capture.poses import poses_report
 from bench.machine import machine
 
-FRAMES, MESHES, POSES = "frames", "meshes", "poses"
+FRAMES, MESHES, POSES, STOREYS = "frames", "meshes", "poses", "storeys"
 
-PARTS = (FRAMES, MESHES, POSES)
-"""What can be measured: instances of single frames of tables, and of meshes of rooms; poses of walks that are withheld, or drift."""
+PARTS = (FRAMES, MESHES, POSES, STOREYS)
+"""What can be measured: instances of single frames of tables, and of meshes of rooms; poses of walks that are withheld, or drift; storeys
+of houses."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CaptureBench:
     """What is measured. frames: Generated ones of tables. rooms: Generated ones, as meshes. realdata: Folder with the real frames that
-    drawings are of, and with scans by others; None for none. walks: Through rooms, each of `walk_frames` frames. open3d: An interpreter
-    that has it, '' for this one. parts: Of `PARTS`."""
+    drawings are of, and with scans by others; None for none. walks: Through rooms, each of `walk_frames` frames. houses: Generated ones
+    of up to three storeys. open3d: An interpreter that has it, '' for this one. parts: Of `PARTS`."""
 
     frames: int = 30
     walks: int = 3
@@ -32,6 +34,7 @@ class CaptureBench:
     realdata: Path | None = None
     parts: tuple[str, ...] = PARTS
     rooms: int = 10
+    houses: int = 16
 
     @property
     def advances(self) -> int:
@@ -55,4 +58,7 @@ def run_capture_bench(config: CaptureBench, advance: Callable[[str], None]) -> d
     if POSES in config.parts:
         parts[POSES] = poses_report(config.walks, config.walk_frames, config.seed, config.open3d)
         advance(POSES)
+    if STOREYS in config.parts:
+        parts[STOREYS] = storeys_report(config.houses, config.seed)
+        advance(STOREYS)
     return {"machine": machine(), "seed": config.seed, "parts": parts, "goals": [row for part in parts.values() for row in part["goals"]]}

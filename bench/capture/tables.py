@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bench.capture.report import FRAMES, MESHES, POSES
+from bench.capture.report import FRAMES, MESHES, POSES, STOREYS
 from bench.tables import add_row, goals_table, headline, table_of
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ def print_capture(report: Mapping[str, Any], console: Console) -> None:
         _print_meshes(parts[MESHES]["rows"], console)
     if POSES in parts:
         _print_poses(parts[POSES], console)
+    if STOREYS in parts:
+        _print_storeys(parts[STOREYS]["rows"], console)
     console.print(goals_table(report["goals"]))
 
 
@@ -60,3 +62,14 @@ def _print_poses(part: Mapping[str, Any], console: Console) -> None:
     console.print(table)
     if part["note"]:
         console.print(part["note"])
+
+
+def _print_storeys(rows: list[Mapping[str, Any]], console: Console) -> None:
+    columns = ("storeys", "houses", "divided right", "cut off middle [cm]", "beside slab [cm]", "lost", "misplaced", "s")
+    table = table_of("storeys of houses, each figure at worst", ("of", False), *((text, True) for text in columns))
+    for row in rows:
+        cuts = ["n/a" if row[name] is None or row["storeys"] == 1 else f"{100 * row[name]:.1f}" for name in ("off_m", "beside_m")]
+        misplaced = "n/a" if row["misplaced"] is None else f"{row['misplaced']:.2%}"
+        counts = [str(row[name]) for name in ("storeys", "houses", "right")]
+        add_row(table, row["kind"], *counts, *cuts, f"{row['lost']:.1e}", misplaced, f"{row['seconds']:.1f}")
+    console.print(table)

@@ -23,6 +23,9 @@ FORMATS = members("tasks.capture", SCAN_FORMATS, ScanFormat)
 EXAMPLE = next((format for format in FORMATS if format.is_plain), FORMATS[0])
 """What errors name where any format would do."""
 
+STOREY = re.compile(r"_floor\d+$")
+"""How names of scans end that are storeys of another one."""
+
 
 def format_of(scan: Scan) -> ScanFormat:
     """The format of a scan.
@@ -38,11 +41,13 @@ def format_of(scan: Scan) -> ScanFormat:
 
 
 def room_of(scan: Scan) -> str:
-    """Id of the physical room of a scan: rescans, where its format tells by names or files, are of one; otherwise the scene's own.
+    """Id of the physical room of a scan: rescans, where its format tells by names or files, are of one, and so are the storeys of a
+    dwelling; otherwise the scene's own.
 
     Raises:
         InputError: the file that says so is broken.
     """
+    scan = dataclasses.replace(scan, scan=STOREY.sub("", scan.scan))
     stated, pattern = format_of(scan).room_stated, format_of(scan).room
     name = stated(scan) if stated is not None else None
     if name:

@@ -19,6 +19,7 @@ from tasks.capture.reading import Group, Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import Surface, load_glb, parse_node_name, surface_of
+from tasks.geometry.transforms import Y_UP_TO_Z_UP
 from tasks.geometry.triangles import face_areas
 
 SUFFIXES = (".glb",)
@@ -84,6 +85,7 @@ def read_glb_scene(scan: Scan) -> Reading:
         is_dense=False,
         degradations=("no frames in the scene: no views, no masks",),
         glb=data,
+        from_file=Y_UP_TO_Z_UP,
     )
 
 

@@ -25,6 +25,9 @@ COLOR_INTRINSICS = (
     "intrinsic/intrinsic_color.txt", "intrinsics_color.txt", "intrinsic_color.txt", "intrinsics.json", "camera_intrinsic.json",
     "intrinsic.json", "intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "camera.txt", "K.txt",
 )  # fmt: skip
+STOREYS_RECORD = "storeys.json"
+"""Beside the scans of a scan's storeys: how they are joined again. No format has it."""
+
 DEPTH_INTRINSICS = ("intrinsic/intrinsic_depth.txt", "intrinsics_depth.txt", "intrinsic_depth.txt")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from tasks.capture.layout import folders_in
+from tasks.capture.layout import STOREYS_RECORD, folders_in
 from tasks.capture.scan import ScanFormat
 
 MOST_NAMES = 2_000
@@ -77,7 +77,7 @@ def _names(folder: Path) -> Iterator[str]:
     """Names in a folder, and below the folders in it, as paths from it."""
     left = MOST_NAMES
     for path in sorted(folder.iterdir()):
-        if path.name.startswith("."):
+        if path.name.startswith(".") or path.name == STOREYS_RECORD:
             continue
         if path.is_file():
             yield path.name
@@ -89,7 +89,7 @@ def _names(folder: Path) -> Iterator[str]:
             inside = list(place.iterdir())
         except OSError:  # said of the folder itself, by who looks into it
             continue
-        for path in inside:
+        for path in (path for path in inside if path.name != STOREYS_RECORD):
             yield f"{place.name}/{path.name}"
             left -= 1
             if not left:

@@ -65,6 +65,7 @@ class Reading:
     groups: Instances; None when the scan names none, to be found in the geometry.
     alignment: Scan frame to an aligned frame, 4x4 [m], where the scan states one.
     glb: The scan's own file where it is a GLB, which can be kept as it is when nothing moves.
+    from_file: The file's own units and axes to the scan frame, 4x4, where the reader changed them.
     materials: Which of its textures each face of `surface` has, shape (m,) int64, where the scan names no instances and has several.
     is_dense: Vertices lie as densely as a depth sensor leaves them, so that they can stand for the surface.
     """
@@ -80,6 +81,7 @@ class Reading:
     degradations: tuple[str, ...] = ()
     glb: bytes | None = None
     materials: NDArray[np.int64] | None = None
+    from_file: NDArray[np.float64] | None = None
 
 
 def groups_of(named: Sequence[tuple[str, str, NDArray[np.int64]]], owner: NDArray[np.int64], surface: Surface) -> tuple[Group, ...]:

@@ -16,7 +16,7 @@ from schemas.capture import Frame, Instance, Mask, RoomSurface, Scene, Shell
 from schemas.errors import InputError
 from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
 from tasks.capture.files.images import encode_jpeg
-from tasks.capture.formats import format_of, left_out, room_of
+from tasks.capture.formats import room_of
 from tasks.capture.fusion import FusionConfig, fused_surface
 from tasks.capture.instances.hidden import with_hidden_parts
 from tasks.capture.instances.merged import own_size, set_apart
@@ -25,11 +25,11 @@ from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_
 from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
 from tasks.capture.instances.split import rejoined
 from tasks.capture.instances.views import Sight, best_sights, run_lengths, view_of
-from tasks.capture.labels import CEILING, DOOR, FLOOR, WALL, WINDOW, Label, LabelMap, label_map
+from tasks.capture.labels import CEILING, DOOR, WALL, WINDOW, Label, LabelMap, label_map
+from tasks.capture.leveling import aligned, read_with_meanings
 from tasks.capture.poses.provider import PosesConfig, with_poses
-from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
-from tasks.capture.rooms.alignment import Alignment, align
+from tasks.capture.rooms.alignment import Alignment
 from tasks.capture.rooms.leaves import whole_leaves
 from tasks.capture.rooms.lintels import lintels
 from tasks.capture.rooms.openings import wall_openings
@@ -39,10 +39,10 @@ from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
 from tasks.capture.scan import Scan
 from tasks.capture.scan_mesh import scan_mesh
-from tasks.capture.segmentation.gravity import scan_level
-from tasks.capture.segmentation.votes import VoteConfig, spacing_of, voted_groups
+from tasks.capture.segmentation.votes import VoteConfig, voted_groups
 from tasks.capture.small_objects.additions import OBJECT as NAMELESS
 from tasks.capture.small_objects.additions import Finder, Instances, SmallObjectsConfig, Unsought, with_small_objects
+from tasks.capture.storeys.levels import StoreyConfig, advice, levels
 from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import flat
 from tasks.mounting import mounting
@@ -68,6 +68,7 @@ class CaptureConfig(Config):
     poses: PosesConfig = dataclasses.field(default_factory=PosesConfig)  # see there
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
     segmentation: SegmentationConfig = dataclasses.field(default_factory=SegmentationConfig)  # Used when nothing names instances.
+    storeys: StoreyConfig = dataclasses.field(default_factory=StoreyConfig)  # A scene is of one; a scan of several says so.
     votes: VoteConfig = dataclasses.field(default_factory=VoteConfig)  # Used when a scan has frames with depth but names no instances.
     textures: TextureConfig = dataclasses.field(default_factory=TextureConfig)
     small_objects: SmallObjectsConfig = dataclasses.field(default_factory=SmallObjectsConfig)  # a scan names few of them
@@ -87,16 +88,17 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     labels = label_map(config.label_map)
     if labels.sha256 != config.label_map_sha256:
         raise InputError(config.label_map or "labels.csv", "content", "has changed since the run was planned", "start the run again")
-    reading, meanings, is_modelled = _read(scan, labels)
+    reading, meanings, is_modelled = read_with_meanings(scan, labels)
     reading, pose_notes = with_poses(reading, config.poses, scan.path.name)
     notes = [*reading.degradations, *pose_notes]
     surface = reading.surface
     if surface is None:
         surface, fusion_notes = fused_surface(reading.frames, config.fusion, scan.path.name)
         notes += fusion_notes
-    alignment = _aligned(reading, surface, meanings, config, is_authored=is_modelled)
+    alignment = aligned(reading, surface, meanings, config.votes, is_authored=is_modelled)
     notes += alignment.notes
     world = surface.transformed(alignment.pose)
+    notes += advice(levels(world, config.storeys), scan.path)
     groups, probabilities = reading.groups, {}
     if groups is None:
         by_surface = geometry_instances(world, config.segmentation, reading.materials)
@@ -177,35 +179,6 @@ def _mended(
     return groups, list(meanings), solids, [*apart, *joined]
 
 
-def read_scan(scan: Scan) -> Reading:
-    """What the reader of its format makes of a scan; links that were left out are a degradation, or a part of its error.
-
-    Raises:
-        InputError: a file of the scan cannot be used; names the file and the field.
-    """
-    format = format_of(scan)
-    note = left_out(scan)
-    try:
-        reading = format.read(scan)
-    except InputError as error:
-        if not note:
-            raise
-        raise InputError(error.file, error.field, f"{error.problem} ({note})", f"{error.remedy}; {REMEDY}") from error
-    return dataclasses.replace(reading, degradations=(*reading.degradations, note)) if note else reading
-
-
-def _read(scan: Scan, labels: LabelMap) -> tuple[Reading, list[Label], bool]:
-    """What the files of a scan say, what its labels mean, and whether somebody drew it: a drawing whose nodes name no objects is a mesh."""
-    format, reading = format_of(scan), read_scan(scan)
-    meanings = [_meaning(group, labels, format.is_modelled) for group in reading.groups or ()]
-    bare = format.bare(scan, reading, meanings) if format.bare is not None else None
-    return (reading, meanings, format.is_modelled) if bare is None else (bare, [], False)
-
-
-def _meaning(group: Group, labels: LabelMap, is_node: bool) -> Label:
-    return labels.of_node(group.raw_label, group.source_id) if is_node else labels[group.raw_label]
-
-
 def _unknown_labels(groups: Sequence[Group], meanings: Sequence[Label], scan: str) -> list[str]:
     """One line per label that the map does not have, or has in another spelling, with the place where it is met first."""
     lines: dict[tuple[str, str], str] = {}
@@ -222,19 +195,6 @@ def _finder(group: Group, reading: Reading, probabilities: Mapping[str, float]) 
     if reading.groups is None or group.raw_label.startswith(f"{PROVIDER}:"):
         return Finder(PROVIDER, probabilities.get(group.source_id))
     return Finder("file", None)
-
-
-def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], config: CaptureConfig, is_authored: bool) -> Alignment:
-    masks = {}
-    for nyu40 in (FLOOR, WALL):
-        mask = np.zeros(len(surface.faces), dtype=bool)
-        for group, label in zip(reading.groups or (), meanings, strict=True):
-            if label.nyu40_id == nyu40:
-                mask[group.faces] = True
-        masks[nyu40] = mask if mask.any() else None
-    # A scan with a mesh of its own has its z axis up already; fused frames have only what they see to tell.
-    level = scan_level(reading.frames, spacing_of(surface), config.votes.frame) if reading.surface is None else None
-    return align(surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, level=level, is_authored=is_authored)
 
 
 def _solids(reading: Reading, world: Surface, groups: Sequence[Group], context: Context, config: CaptureConfig) -> list[InstancePoints]:

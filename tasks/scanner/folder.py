@@ -83,7 +83,7 @@ def write_exported(folder: Path, config: ScannerConfig, shots: list[Shot], poses
         (folder / name).mkdir()
     for index, (shot, pose) in enumerate(zip(shots, poses, strict=True)):
         (folder / "color" / f"{index}.jpg").write_bytes(jpeg(shot.color))
-        (folder / "depth" / f"{index}.png").write_bytes(_png(shot.depth))
+        (folder / "depth" / f"{index}.png").write_bytes(png(shot.depth))
         (folder / "pose" / f"{index}.txt").write_text(_matrix_text(pose))
     for word, camera in (("color", color_camera(np.eye(4), config)), ("depth", depth_camera(np.eye(4), config))):
         matrix = np.eye(4)
@@ -121,11 +121,12 @@ def jpeg(color: NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
-def _png(depth: NDArray[np.uint16]) -> bytes:
+def png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    """An image as PNG, as it is."""
     from PIL import Image
 
     buffer = io.BytesIO()
-    Image.fromarray(depth).save(buffer, "PNG", compress_level=4)
+    Image.fromarray(image).save(buffer, "PNG", compress_level=4)
     return buffer.getvalue()
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from schemas.capture import Frame, Instance
 from schemas.errors import InputError
+from tasks.capture.leveling import read_scan
 from tasks.capture.scan import Scan
-from tasks.capture.scenes import read_scan
 from tasks.geometry.meshes import read_points
 from tasks.texturing.views import ColorView, ViewsConfig, best_views, views_of
 

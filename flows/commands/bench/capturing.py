@@ -1,4 +1,4 @@
-"""How well instances of scans without labels are found, measured."""
+"""How well instances of scans without labels, poses and storeys are found, measured."""
 
 from __future__ import annotations
 
@@ -24,10 +24,12 @@ from flows.commands.options import json_option
     envvar="METASCENES_REALDATA",
     help="Folder with real frames and scans by others.",
 )
-@click.option("--parts", default="", help="Measure only these, with commas between: frames, meshes, poses.")
+@click.option("--houses", type=click.IntRange(1, 10_000), default=16, show_default=True, help="Generated houses of up to three storeys.")
+@click.option("--parts", default="", help="Measure only these, with commas between: frames, meshes, poses, storeys.")
 @json_option
 def capture(
-    frames: int, rooms: int, realdata: Path | None, walks: int, walk_frames: int, open3d: str, seed: int, parts: str, as_json: bool
+    frames: int, rooms: int, realdata: Path | None, walks: int, walk_frames: int, open3d: str, seed: int, houses: int, parts: str,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Measure what is found in scans that name no instances.
 
@@ -40,6 +42,9 @@ def capture(
     `poses`: films of a slow walk through a room whose poses are withheld, or drift by 3 % of the way, and what `capture.poses` with Open3D
     (`make open3d`) makes of them: places of the camera, and the surface that the frames fuse to, beside that of true poses.
 
+    `storeys`: houses of one to three generated dwellings above one another, halls with galleries among them, as they are seen on a walk,
+    and every eighth of hard rooms: whether they are divided where they should be, and what of their surface is lost or on the wrong floor.
+
     The exit code is 1 when a goal is missed, and else 0.
 
     Example: metascenes bench capture --parts frames --frames 4
@@ -48,7 +53,7 @@ def capture(
     from bench.capture.tables import print_capture
 
     config = CaptureBench(
-        frames=frames, rooms=rooms, realdata=realdata, walks=walks, walk_frames=walk_frames, open3d=open3d, seed=seed,
+        frames=frames, rooms=rooms, realdata=realdata, walks=walks, walk_frames=walk_frames, open3d=open3d, seed=seed, houses=houses,
         parts=chosen_words(parts, PARTS, "--parts"),
     )  # fmt: skip
     run_measurement("measured", config.advances, partial(run_capture_bench, config), print_capture, as_json)

@@ -82,8 +82,9 @@ def bare_reading(parts: Sequence[trimesh.Trimesh], stated: Stated, notes: Sequen
         moved.append(copy)
     lines = [f"{name}: {up_note}", *([f"{name}: {unit_note}"] if unit_note else [])]
     return Reading(
-        surface=surface, parts=tuple(moved), license=license, is_dense=is_dense, degradations=(*notes, *lines), materials=_materials(parts)
-    )
+        surface=surface, parts=tuple(moved), license=license, is_dense=is_dense, degradations=(*notes, *lines), materials=_materials(parts),
+        from_file=change @ Y_UP_TO_Z_UP if stated.is_turned else change,
+    )  # fmt: skip
 
 
 def check_area(surface: Surface, name: str) -> None:
