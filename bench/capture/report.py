@@ -22,9 +22,9 @@ or drift."""
 
 @dataclasses.dataclass(frozen=True)
 class CaptureBench:
-    """What is measured. frames: Generated ones of tables. rooms: Generated ones, as meshes, and as many as frames. realdata: Folder with the
-    real frames that drawings are of, and with scans by others; None for none. walks: Through rooms, each of `walk_frames` frames. open3d: An
-    interpreter that has it, '' for this one. parts: Of `PARTS`."""
+    """What is measured. frames: Generated ones of tables. rooms: Generated ones, as meshes, and as many as frames. realdata: Folder with
+    the real frames that drawings are of, and with scans by others; None for none. walks: Through rooms, each of `walk_frames` frames.
+    open3d: An interpreter that has it, '' for this one. parts: Of `PARTS`."""
 
     frames: int = 30
     walks: int = 3

@@ -32,6 +32,10 @@ _BAND_SPACINGS, _LEAST_BAND_M = 3.0, 0.01
 _LEAST_SHARE = 0.25
 """Of the pixels that a direction needs behind it, before cameras are believed instead."""
 
+_UPRIGHT, _SOME_SHARE = 0.8, 0.05
+"""Length of the mean of the cameras' own up from which they were held upright; and of all supports' pixels that look up then, to be
+believed: who films a room may look at its floor now and then."""
+
 
 def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfig) -> SeenLevel | None:
     """Up by the normal of the supports of most pixels of some frames; else that of the cameras on average, None where they disagree.
@@ -59,10 +63,11 @@ def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfi
 
 
 def _upward(supports: list[tuple[DepthView, FramePlane]]) -> list[tuple[DepthView, FramePlane]]:
-    """Supports that look up in their images, where there are enough of them: the wall that a level camera sees is none."""
+    """Supports that look up in their images, where cameras were held upright and some see one: walls before level cameras are none."""
     upward = [(view, support) for view, support in supports if -support.plane.normal[1] > MIN_ANGLE_COS]
     pixels, all_pixels = (sum(int(support.pixels.sum()) for _, support in each) for each in (upward, supports))
-    return upward if pixels >= _LEAST_SHARE * all_pixels else supports
+    held = np.mean([-view.pose[:3, 1] for view, _ in supports], axis=0) if supports else np.zeros(3)
+    return upward if np.linalg.norm(held) >= _UPRIGHT and pixels >= _SOME_SHARE * all_pixels else supports
 
 
 def _planes(view: DepthView, config: FrameConfig) -> FramePlanes:
