@@ -68,7 +68,8 @@ class _Shapes:
             length = np.linalg.norm(np.ptp(np.percentile(points[own], [_LOW, _HIGH], axis=0), axis=0))
             upright, pixel_m = np.abs(normals[own] @ support.normal).mean(), frame.pixel_m.ravel()[own].mean()
             rows[number] = (low, high, length, areas[own].sum(), upright, pixel_m, *colors[own].mean(axis=0))
-        return cls(*rows[:, :5].T, rows[:, 6:], rows[:, 5])
+        low, high, length, area, upright, pixel_m = rows[:, :6].T
+        return cls(low, high, length, area, upright, rows[:, 6:], pixel_m)
 
 
 def flush_with(region: Indices, walls: Sequence[FramePlane], frame: OrganizedFrame, config: StripConfig) -> Bools:
@@ -114,4 +115,5 @@ def _sides(region: Indices, frame: OrganizedFrame, bridge_px: int, step_m: float
     whole, place = bridged(region, bridge_px)
     depth = np.ascontiguousarray(frame.points[place[0], place[1], 2])
     contacts = contacts_of(whole, depth, np.full(depth.shape, step_m), 1)
-    return contacts.first, contacts.second, contacts.passing * np.minimum(pixel_m[contacts.first], pixel_m[contacts.second])
+    a, b = contacts.first, contacts.second
+    return a, b, np.asarray(contacts.passing * np.minimum(pixel_m[a], pixel_m[b]), dtype=np.float64)

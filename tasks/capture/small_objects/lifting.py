@@ -74,8 +74,8 @@ class DepthView:
         if every == 1:
             return self
         fx, fy, cx, cy = (value / every for value in self.intrinsics)
-        depth, color = (np.ascontiguousarray(image[::every, ::every]) for image in (self.depth, self.color))
-        return dataclasses.replace(self, depth=depth, color=color, intrinsics=(fx, fy, cx, cy))
+        depth, color = self.depth[::every, ::every], self.color[::every, ::every]
+        return dataclasses.replace(self, depth=np.ascontiguousarray(depth), color=np.ascontiguousarray(color), intrinsics=(fx, fy, cx, cy))
 
     def pixels(self, points: Array) -> tuple[Indices, Indices, Array, Bools]:
         """Row and column of points in the world frame, their depth [m], and which of them lie inside the image; each of shape (n,)."""
