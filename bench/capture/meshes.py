@@ -166,8 +166,8 @@ def found_in(path: Path, vertices: Array) -> tuple[Indices, Array]:
     reading = format_of(scan).read(scan)
     assert reading.surface is not None
     pose = align(reading.surface).pose
-    found = geometry_instances(reading.surface.transformed(pose), SegmentationConfig(), reading.materials)
-    region = regions_of(found.groups, len(reading.surface.vertices))
+    by_surface = geometry_instances(reading.surface.transformed(pose), SegmentationConfig(), reading.materials)
+    region = regions_of(by_surface.groups, len(reading.surface.vertices))
     return carried(region, reading.surface.vertices, vertices), pose
 
 

@@ -78,5 +78,5 @@ def found_in_frames(folder: Path, vertices: Array) -> tuple[Indices, Array]:
     pose = align(surface, level=scan_level(reading.frames, spacing_of(surface), config.votes.frame)).pose
     world = surface.transformed(pose)
     by_surface = geometry_instances(world, config.segmentation)
-    found = voted_groups(world, by_surface, reading.frames, pose, config.segmentation.naming, config.votes)
-    return carried(regions_of(found.groups, len(surface.vertices)), surface.vertices, vertices), pose
+    by_frames = voted_groups(world, by_surface, reading.frames, pose, config.segmentation.naming, config.votes)
+    return carried(regions_of(by_frames.groups, len(surface.vertices)), surface.vertices, vertices), pose

@@ -37,18 +37,18 @@ def refined(regions: Sequence[Indices], seen: Sequence[Indices], areas: Array, c
     for number, members in enumerate(regions):
         owner[members] = number
     sizes = np.bincount(owner[owner >= 0], weights=areas[owner >= 0], minlength=len(regions))
-    found: list[tuple[Indices, int]] = []
+    cutouts: list[tuple[Indices, int]] = []
     for number, members in enumerate(seen):
         shares = np.bincount(owner[members] + 1, weights=areas[members], minlength=len(regions) + 1)
         whole = float(shares.sum())
         best = int(shares[1:].argmax()) if len(regions) else -1
         if best >= 0 and shares[best + 1] >= config.inside * whole and shares[best + 1] < config.most * sizes[best]:
-            found.append((members, number))
+            cutouts.append((members, number))
         elif shares[0] >= config.free * whole:
-            found.append((members[owner[members] < 0], number))
-    for members, _ in found:
+            cutouts.append((members[owner[members] < 0], number))
+    for members, _ in cutouts:
         owner[members] = -1
     kept = [members[owner[members] == number] for number, members in enumerate(regions)]
-    parts = [(members, -1) for members in kept] + found
+    parts = [(members, -1) for members in kept] + cutouts
     parts = [(members, number) for members, number in parts if len(members)]
     return [members for members, _ in parts], [number for _, number in parts]

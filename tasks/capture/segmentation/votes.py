@@ -110,12 +110,12 @@ def voted_groups(
             named.append((category, group.vertices))
     views = [depth_view(frames[index], alignment) for index in chosen_frames(frames, config.most_frames)]
     normals, areas = vertex_normals(world.vertices, world.faces), vertex_areas(world)
-    found = voted_instances(world, owner >= 0, [view for view in views if view is not None], config)
+    instances = voted_instances(world, owner >= 0, [view for view in views if view is not None], config)
     if room and not is_table:
         regions = [group.vertices for group in by_surface.groups if group.raw_label.partition(":")[2] not in ROOM]
-        parts, numbers = refined(regions, [members for members, _ in found], areas, config.refinement)
-        found = [(members, number >= 0 and found[number][1]) for members, number in zip(parts, numbers, strict=True)]
-    for members, is_support in found:
+        parts, numbers = refined(regions, [members for members, _ in instances], areas, config.refinement)
+        instances = [(members, number >= 0 and instances[number][1]) for members, number in zip(parts, numbers, strict=True)]
+    for members, is_support in instances:
         owner[members] = len(named)
         points, facing, sizes = world.vertices[members], normals[members], areas[members]
         if is_support and is_table:
