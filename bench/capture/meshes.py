@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from bench.capture.former import FormerScan, former_scans, has_former
 from bench.capture.truth import matches
-from bench.dwellings import make_scan
+from bench.dwellings import has_frames, make_scan
 from bench.goals import goal
 from tasks.capture.files.ply import read_ply
 from tasks.capture.formats import find_scans, format_of
 from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
+from tasks.capture.reading import Group
 from tasks.capture.rooms.alignment import align
 from tasks.furniture.dwellings import dwelling
 from tasks.geometry.meshes import load_glb
@@ -41,6 +42,9 @@ PIECE = 0.1
 WANTED, WANTED_LOOSELY, MOST_REGIONS, MOST_SHARE, WANTED_DEGREES, WANTED_M = 1 / 3, 2 / 3, 4.0, 0.1, 1.0, 0.01
 """Of the objects that are found at an IoU of 0.5 and of 0.25, regions for an object, share of the surface in one, and how far off the floor
 may be."""
+
+REACH_M = 0.05
+"""Between a vertex and the nearest one of another surface of the same frames, to be of the same thing: two voxels and a tracker's drift."""
 
 HOUSE = Path("scene_aws_small_house", "house.glb")
 """Below the folder of real data: a house that somebody drew, whose nodes have names."""
@@ -77,9 +81,10 @@ def _worst(a: float | None, b: float | None) -> float | None:
 
 @dataclasses.dataclass(frozen=True)
 class BareRoom:
-    """A hard room as a scan that names nothing. mesh: Its file. folder: The same as a folder of ScanNet, for code that reads no other.
-    vertices: Scan frame [m], shape (n, 3). owner: Of each, -1 for nobody's, shape (n,). counted: Objects that the scan shows enough of.
-    areas: Of each vertex [m2], shape (n,). floor: Those that are truly the floor's, shape (k,)."""
+    """A hard room as a scan that names nothing. mesh: Its file. folder: The same as a folder of ScanNet, for code that reads no other; of
+    a room with frames, these alone. vertices: Of the mesh, scan frame [m], shape (n, 3). owner: Of each, -1 for nobody's, shape (n,).
+    counted: Objects that the scan shows enough of. areas: Of each vertex [m2], shape (n,). floor: Those that are truly the floor's, shape
+    (k,)."""
 
     mesh: Path
     folder: Path
@@ -95,11 +100,11 @@ def meshes_report(rooms: int, seed: int, realdata: Path | None) -> dict[str, Any
     """Figures of hard rooms and, where it is there, of the drawn house."""
     with tempfile.TemporaryDirectory(prefix="meshes-", ignore_cleanup_errors=True) as temporary:
         place = Path(temporary)
-        bare = [bare_room(place / "rooms", index, seed) for index in range(rooms)]
-        rows = [("hard rooms", "now", _sum([score_now(room) for room in bare]))]
+        bare = [bare_room(place / "rooms", 2 * index + 1, seed) for index in range(rooms)]
+        rows = [("hard rooms", "now", summed([score_now(room) for room in bare]))]
         if has_former():
             former = former_scans([room.folder for room in bare], place / "former")
-            rows.insert(0, ("hard rooms", "before", _sum([score_former(room, scan) for room, scan in zip(bare, former, strict=True)])))
+            rows.insert(0, ("hard rooms", "before", summed([score_former(room, scan) for room, scan in zip(bare, former, strict=True)])))
     now = rows[-1][2]
     house = realdata / HOUSE if realdata is not None else None
     if house is not None and house.is_file():
@@ -117,9 +122,9 @@ def meshes_report(rooms: int, seed: int, realdata: Path | None) -> dict[str, Any
     }
 
 
-def bare_room(folder: Path, index: int, seed: int) -> BareRoom:
-    """Every other hard room of `metascenes bench rooms` of a seed, those that are scanned without frames, with its labels withheld."""
-    number = 2 * index + 1
+def bare_room(folder: Path, number: int, seed: int) -> BareRoom:
+    """A hard room of `metascenes bench rooms` of a seed, with its labels withheld; every other one is scanned with frames, the first, too,
+    and then its mesh lies beside its folder."""
     truth = make_scan(folder, number, seed)
     scan = folder / truth.scan
     for path in [*scan.glob("*.json"), *scan.glob("*.txt")]:
@@ -128,6 +133,8 @@ def bare_room(folder: Path, index: int, seed: int) -> BareRoom:
     mesh = folder / f"bare_{number:04d}.ply"
     mesh.write_bytes(ply.read_bytes())
     surface = read_ply(ply, ply.name)
+    if has_frames(number):
+        ply.unlink()
     scenery = scenery_of(dwelling((seed, number)).furnished)
     owner = owners(scenery, transform_points(surface.vertices, matrix(truth.alignment)), HARD.owner_reach_m)
     observed = {obj.name: obj.observed for obj in truth.objects}
@@ -149,36 +156,51 @@ def score_now(room: BareRoom) -> MeshScore:
     """What this code finds in a room's mesh."""
     clock = time.perf_counter()
     region, pose = found_in(room.mesh, room.vertices)
-    return _scored(room, region, pose, time.perf_counter() - clock)
+    return room_score(room, region, pose, time.perf_counter() - clock)
 
 
 def found_in(path: Path, vertices: Array) -> tuple[Indices, Array]:
     """Region of each vertex of a mesh that names nothing, -1 for none and for the room, shape (n,); and scan frame to world frame, 4x4.
     vertices: As the file has them [m], shape (n, 3); what is read has one at each place."""
-    from scipy.spatial import cKDTree
-
     (scan,), _ = find_scans(path, "bare_mesh")
     reading = format_of(scan).read(scan)
     assert reading.surface is not None
     pose = align(reading.surface).pose
-    region = np.full(len(reading.surface.vertices), -1, dtype=np.int64)
-    groups = geometry_instances(reading.surface.transformed(pose), SegmentationConfig(), reading.materials).groups
+    by_surface = geometry_instances(reading.surface.transformed(pose), SegmentationConfig(), reading.materials)
+    region = regions_of(by_surface.groups, len(reading.surface.vertices))
+    return carried(region, reading.surface.vertices, vertices), pose
+
+
+def regions_of(groups: Sequence[Group], count: int) -> Indices:
+    """Number of the object that each vertex is of, from 0, -1 for none and for what is part of the room, shape (count,)."""
+    region = np.full(count, -1, dtype=np.int64)
     for number, group in enumerate(group for group in groups if group.raw_label not in ROOM):
         region[group.vertices] = number
-    return region[cKDTree(reading.surface.vertices).query(vertices)[1]], pose
+    return region
+
+
+def carried(region: Indices, vertices: Array, onto: Array) -> Indices:
+    """Regions of a surface's vertices, shape (n, 3), at other points of the same place, shape (m, 3): those of the nearest vertex, -1 where
+    none is within `REACH_M`, shape (m,)."""
+    from scipy.spatial import cKDTree
+
+    distance, nearest = cKDTree(vertices).query(onto, distance_upper_bound=REACH_M)
+    return np.where(np.isfinite(distance), region[np.minimum(nearest, len(region) - 1)], -1)
 
 
 def score_former(room: BareRoom, scan: FormerScan) -> MeshScore:
-    """What the former code found in the same mesh; nothing where it failed."""
+    """What the former code found in the same scan; nothing where it failed."""
     if scan.failure:
         return MeshScore(len(room.counted), 0, 0, 0, 0, 0.0, None, None, scan.seconds)
     objects = [number for number, label in enumerate(scan.labels) if label not in ROOM]
     place = np.full(len(scan.labels) + 1, -1, dtype=np.int64)
     place[objects] = np.arange(len(objects))
-    return _scored(room, place[scan.owner], scan.pose, scan.seconds)
+    return room_score(room, carried(place[scan.owner], scan.vertices, room.vertices), scan.pose, scan.seconds)
 
 
-def _scored(room: BareRoom, region: Indices, pose: Array, seconds: float) -> MeshScore:
+def room_score(room: BareRoom, region: Indices, pose: Array, seconds: float) -> MeshScore:
+    """Figures of a room. region: Of its mesh's vertices, -1 for none and for what is part of the room, shape (n,). pose: Scan frame to what
+    is taken for the world, 4x4 [m]."""
     score = mesh_score(room.owner, region, np.ones(len(region)), room.counted)
     share = np.bincount(region[region >= 0], weights=room.areas[region >= 0]).max(initial=0.0) / room.areas.sum()
     degrees = float(np.rad2deg(np.arccos(np.clip(pose[2, :3] @ matrix(room.truth.alignment)[2, :3], -1.0, 1.0))))
@@ -221,7 +243,8 @@ def score_house(path: Path) -> MeshScore:
     return dataclasses.replace(mesh_score(owner, region, face_areas(surface.vertices, surface.faces), counted), seconds=seconds)
 
 
-def _sum(scores: Sequence[MeshScore]) -> MeshScore:
+def summed(scores: Sequence[MeshScore]) -> MeshScore:
+    """Of several together."""
     total = scores[0]
     for score in scores[1:]:
         total = total + score

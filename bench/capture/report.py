@@ -1,4 +1,4 @@
-"""The benchmark of scans without labels: single frames, bare meshes; held against goals."""
+"""The benchmark of scans without labels: single frames, bare meshes, rooms of frames; held against goals."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from bench.capture.frames import frames_report
 from bench.capture.houses import storeys_report
 from bench.capture.meshes import meshes_report
 from bench.capture.poses import poses_report
+from bench.capture.rooms import rooms_report
 from bench.machine import machine
 
-FRAMES, MESHES, POSES, STOREYS = "frames", "meshes", "poses", "storeys"
+FRAMES, MESHES, ROOMS, POSES, STOREYS = "frames", "meshes", "rooms", "poses", "storeys"
 
-PARTS = (FRAMES, MESHES, POSES, STOREYS)
-"""What can be measured: instances of single frames of tables, and of meshes of rooms; poses of walks that are withheld, or drift; storeys
-of houses."""
+PARTS = (FRAMES, MESHES, ROOMS, POSES, STOREYS)
+"""What can be measured: instances of single frames of tables, of meshes of rooms, and of rooms of frames; poses of walks that are withheld,
+or drift; storeys of houses."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CaptureBench:
-    """What is measured. frames: Generated ones of tables. rooms: Generated ones, as meshes. realdata: Folder with the real frames that
-    drawings are of, and with scans by others; None for none. walks: Through rooms, each of `walk_frames` frames. houses: Generated ones
-    of up to three storeys. open3d: An interpreter that has it, '' for this one. parts: Of `PARTS`."""
+    """What is measured. frames: Generated ones of tables. rooms: Generated ones, as meshes, and as many as frames. realdata: Folder with
+    the real frames that drawings are of, and with scans by others; None for none. walks: Through rooms, each of `walk_frames` frames.
+    houses: Generated ones of up to three storeys. open3d: An interpreter that has it, '' for this one. parts: Of `PARTS`."""
 
     frames: int = 30
     walks: int = 3
@@ -55,6 +56,9 @@ def run_capture_bench(config: CaptureBench, advance: Callable[[str], None]) -> d
     if MESHES in config.parts:
         parts[MESHES] = meshes_report(config.rooms, config.seed, config.realdata)
         advance(MESHES)
+    if ROOMS in config.parts:
+        parts[ROOMS] = rooms_report(config.rooms, config.seed)
+        advance(ROOMS)
     if POSES in config.parts:
         parts[POSES] = poses_report(config.walks, config.walk_frames, config.seed, config.open3d)
         advance(POSES)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bench.capture.report import FRAMES, MESHES, POSES, STOREYS
+from bench.capture.report import FRAMES, MESHES, POSES, ROOMS, STOREYS
 from bench.tables import add_row, goals_table, headline, table_of
 
 if TYPE_CHECKING:
@@ -19,7 +19,9 @@ def print_capture(report: Mapping[str, Any], console: Console) -> None:
     if FRAMES in parts:
         _print_frames(parts[FRAMES]["rows"], console)
     if MESHES in parts:
-        _print_meshes(parts[MESHES]["rows"], console)
+        _print_rooms("instances of bare meshes", parts[MESHES]["rows"], console)
+    if ROOMS in parts:
+        _print_rooms("instances of rooms of frames", parts[ROOMS]["rows"], console)
     if POSES in parts:
         _print_poses(parts[POSES], console)
     if STOREYS in parts:
@@ -40,9 +42,9 @@ def _print_frames(rows: list[Mapping[str, Any]], console: Console) -> None:
     console.print(table)
 
 
-def _print_meshes(rows: list[Mapping[str, Any]], console: Console) -> None:
+def _print_rooms(title: str, rows: list[Mapping[str, Any]], console: Console) -> None:
     columns = ("objects", "regions", "at 0.5", "at 0.25", "in > 4", "largest", "floor off", "s")
-    table = table_of("instances of bare meshes", ("of", False), ("code", False), *((text, True) for text in columns))
+    table = table_of(title, ("of", False), ("code", False), *((text, True) for text in columns))
     for row in rows:
         counts = [str(row[name]) for name in ("objects", "regions", "half", "quarter", "in_pieces")]
         off = "n/a" if row["degrees"] is None else f"{row['degrees']:.2f} deg, {1000 * row['off_m']:.0f} mm"

@@ -9,15 +9,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from bench.goals import goal
 from bench.models.lifting import lifting_figures
 from bench.models.tabletops import SupportWord, Tabletop, tabletop
 from bench.models.trained.fitting import TrainedConfig, fitted_network
 from bench.models.trained.photographs import photographed_tables
 from bench.models.trained.scoring import SupportScore, SupportTruth, harmonic, lead, precision_recall, score
-from bench.models.trained.seeing import WIDTH, seen_masks, thinned
+from bench.models.trained.seeing import seen_masks
 from bench.models.withheld import Finder, withheld_figures
 from tasks.capture.small_objects.additions import board_of
 from tasks.capture.small_objects.classical import ClassicalConfig, Found, found_in_masks, found_masks
@@ -77,25 +75,18 @@ def trained_report(
 
 
 def members_of(network: PartingNet) -> Mapping[str, Masks]:
-    """Who is held against each other; the classical member also at the resolution of the network, where it has more to go by than noise."""
-    return {CLASSICAL: classical_masks, f"{CLASSICAL}, thinned": thinned_masks, TRAINED: partial(seen_masks, network)}
+    """Who is held against each other; the classical member in every pixel, and thinned, as it looks at wide frames."""
+    whole = partial(classical_masks, config=ClassicalConfig(widest_px=1 << 16))
+    return {CLASSICAL: whole, f"{CLASSICAL}, thinned": classical_masks, TRAINED: partial(seen_masks, network)}
 
 
-def classical_masks(view: DepthView, slabs: Sequence[SupportSlab]) -> FrameMasks:
+def classical_masks(view: DepthView, slabs: Sequence[SupportSlab], config: ClassicalConfig | None = None) -> FrameMasks:
     """Masks of the classical member, named by size."""
-    config, naming = ClassicalConfig(), NamingConfig()
+    config, naming = config or ClassicalConfig(), NamingConfig()
     seen, points = found_masks(view, slabs, config), view.points()
     clouds = [points[mask & (view.depth > 0)] for mask in seen.masks]
     words = [name_by_size(cloud, board_of(cloud, slabs).height, naming).category if len(cloud) > 3 else "" for cloud in clouds]
     return dataclasses.replace(seen, labels=tuple(words))
-
-
-def thinned_masks(view: DepthView, slabs: Sequence[SupportSlab]) -> FrameMasks:
-    """The same of every second pixel of large frames."""
-    every = max(1, round(view.depth.shape[1] / WIDTH))
-    seen = classical_masks(thinned(view, every), slabs)
-    large = np.repeat(np.repeat(seen.masks, every, axis=1), every, axis=2)[:, : view.depth.shape[0], : view.depth.shape[1]]
-    return dataclasses.replace(seen, masks=large & (view.depth > 0))
 
 
 def found_objects(

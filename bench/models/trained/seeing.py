@@ -47,7 +47,7 @@ def seen_masks(network: PartingNet, view: DepthView, slabs: Sequence[SupportSlab
     Larger frames are looked at in every second pixel, or fewer.
     """
     every = max(1, round(view.depth.shape[1] / WIDTH))
-    small = thinned(view, every)
+    small = view.thinned(every)
     depth = filled_depth(small.depth)
     whole = dataclasses.replace(small, depth=depth)
     heights = board_heights(whole, slabs, [_plane(whole, slab) for slab in slabs])
@@ -91,13 +91,6 @@ def answered(network: PartingNet, view: DepthView, heights: BoardHeights, window
     likely = categories[0].softmax(dim=0).numpy()
     likely = np.repeat(np.repeat(likely, CATEGORY_STRIDE, axis=1), CATEGORY_STRIDE, axis=2)[:, :height, :width]
     return WindowAnswer(objectness, pairs[0].numpy()[:, :height, :width], likely)
-
-
-def thinned(view: DepthView, every: int) -> DepthView:
-    """A frame with every so manieth pixel along each axis; pixel centers stay integers."""
-    fx, fy, cx, cy = (value / every for value in view.intrinsics)
-    depth, color = view.depth[::every, ::every], view.color[::every, ::every]
-    return dataclasses.replace(view, depth=np.ascontiguousarray(depth), color=np.ascontiguousarray(color), intrinsics=(fx, fy, cx, cy))
 
 
 def _plane(view: DepthView, slab: SupportSlab) -> Array | None:

@@ -17,7 +17,13 @@ from flows.commands.options import json_option
 @click.option("--walk-frames", type=click.IntRange(2, 5_000), default=300, show_default=True, help="Frames of each film.")
 @click.option("--open3d", metavar="PYTHON", default="", help="An interpreter that has open3d; else this one.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same frames.")
-@click.option("--rooms", type=click.IntRange(1, 10_000), default=10, show_default=True, help="Generated rooms, scanned as bare meshes.")
+@click.option(
+    "--rooms",
+    type=click.IntRange(1, 10_000),
+    default=10,
+    show_default=True,
+    help="Generated rooms, scanned as bare meshes; and as many as frames.",
+)
 @click.option(
     "--realdata",
     type=click.Path(path_type=Path, file_okay=False),
@@ -25,7 +31,7 @@ from flows.commands.options import json_option
     help="Folder with real frames and scans by others.",
 )
 @click.option("--houses", type=click.IntRange(1, 10_000), default=16, show_default=True, help="Generated houses of up to three storeys.")
-@click.option("--parts", default="", help="Measure only these, with commas between: frames, meshes, poses, storeys.")
+@click.option("--parts", default="", help="Measure only these, with commas between: frames, meshes, rooms, poses, storeys.")
 @json_option
 def capture(
     frames: int, rooms: int, realdata: Path | None, walks: int, walk_frames: int, open3d: str, seed: int, houses: int, parts: str,
@@ -36,7 +42,8 @@ def capture(
     `frames`: single depth frames of generated tables, seen at 20 to 70 degrees, with things that touch, are stacked and lie in one another;
     and, with --realdata, real frames over which masks were drawn.
     `meshes`: hard rooms as bare meshes, their labels withheld, and a house that somebody drew, without its names (`--realdata`).
-    Beside it what the code before made of the same scans, which is taken out of the checkout's history; without history it is left out.
+    `rooms`: hard rooms as posed frames, their labels and meshes withheld, by whether the floor is level and objects are instances.
+    Beside these what the code before made of the same scans, which is taken out of the checkout's history; without history it is left out.
     Seconds are of a processor.
 
     `poses`: films of a slow walk through a room whose poses are withheld, or drift by 3 % of the way, and what `capture.poses` with Open3D

@@ -14,6 +14,7 @@ from tasks.capture.segmentation.convexity import ConvexityConfig, contacts_of, j
 from tasks.capture.segmentation.organized import OrganizedFrame, organized_frame
 from tasks.capture.segmentation.patches import SurfacePatchConfig, patches_of
 from tasks.capture.segmentation.planes import FramePlanes, Plane, PlaneConfig, frame_planes, on_plane
+from tasks.capture.segmentation.strips import StripConfig, flush_with, with_strips
 from tasks.capture.segmentation.vessels import VesselConfig, bridged, outlines, without_parts
 from tasks.capture.small_objects.lifting import DepthView
 from tasks.settings import Config, Count, Positive, Share
@@ -43,6 +44,7 @@ class FrameConfig(Config):
     patches: SurfacePatchConfig = dataclasses.field(default_factory=SurfacePatchConfig)  # see there
     convexity: ConvexityConfig = dataclasses.field(default_factory=ConvexityConfig)  # see there
     vessels: VesselConfig = dataclasses.field(default_factory=VesselConfig)  # see there
+    strips: StripConfig = dataclasses.field(default_factory=StripConfig)  # see there
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,17 +61,25 @@ class FrameSegments:
     room: Bools
 
 
-def segmented_frame(view: DepthView, config: FrameConfig, up: Array | None = None) -> FrameSegments:
-    """The regions of a frame. up: Up in the camera's frame, shape (3,), where it is known."""
+def segmented_frame(view: DepthView, config: FrameConfig, up: Array | None = None, known_room: Bools | None = None) -> FrameSegments:
+    """The regions of a frame.
+
+    up: Up in the camera's frame, shape (3,), where it is known. known_room: Pixels that are known to be of floors and walls, shape (h, w).
+    """
     frame = organized_frame(view, config.farthest_m, config.window_m, config.window_sigmas, config.gate_sigmas)
     planes = frame_planes(frame, config.planes, up)
     support, room = _planes_of(frame, planes, config)
+    if known_room is not None:
+        room = (room | known_room) & ~support
     heights = None if planes.support is None else planes.support.plane.heights(frame.points)
     region = _regions(frame, np.where(support, 0, np.where(room, 1, -1)), heights, config)
     if planes.support is not None:
         region, support = _with_islands(region, support, config)
         region, support = _with_aprons(region, support, planes.support.plane, frame, config)
         region, room = _with_ground(region, room, planes.support.plane, frame, config)
+        region = with_strips(_sizable(region, 1), planes.support.plane, frame, config.vessels.bridge_px, config.strips)
+    flush = flush_with(region, planes.walls, frame, config.strips)
+    region, room = np.where(flush, -1, region), room | flush
     least = config.least_px * (view.depth.shape[1] / 640) ** 2
     region = _sizable(region, least)
     return FrameSegments(region, None if planes.support is None else planes.support.plane, support, room)

@@ -12,7 +12,7 @@ from tasks.capture.reading import FrameSource
 from tasks.capture.rooms.alignment import BAND_M, SeenLevel
 from tasks.capture.segmentation.frame import FrameConfig
 from tasks.capture.segmentation.organized import organized_frame
-from tasks.capture.segmentation.planes import FramePlanes, frame_planes
+from tasks.capture.segmentation.planes import MIN_ANGLE_COS, FramePlane, FramePlanes, frame_planes
 from tasks.capture.small_objects.lifting import DepthView, depth_view
 
 Array = NDArray[np.float64]
@@ -32,6 +32,10 @@ _BAND_SPACINGS, _LEAST_BAND_M = 3.0, 0.01
 _LEAST_SHARE = 0.25
 """Of the pixels that a direction needs behind it, before cameras are believed instead."""
 
+_UPRIGHT, _SOME_SHARE = 0.8, 0.05
+"""Length of the mean of the cameras' own up from which they were held upright; and of all supports' pixels that look up then, to be
+believed: who films a room may look at its floor now and then."""
+
 
 def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfig) -> SeenLevel | None:
     """Up by the normal of the supports of most pixels of some frames; else that of the cameras on average, None where they disagree.
@@ -44,9 +48,10 @@ def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfi
     band = float(np.clip(_BAND_SPACINGS * spacing, _LEAST_BAND_M, BAND_M))
     views = [depth_view(frames[index], np.eye(4)) for index in chosen_frames(frames, _MOST_FRAMES)]
     seen = [(view, _planes(view, config)) for view in views if view is not None]
-    supports = [(view.pose[:3, :3] @ planes.support.plane.normal, planes.support.pixels.sum()) for view, planes in seen if planes.support]
+    supports = _upward([(view, planes.support) for view, planes in seen if planes.support is not None])
     if supports:
-        directions, counts = np.array([normal for normal, _ in supports]), np.array([float(count) for _, count in supports])
+        directions = np.array([view.pose[:3, :3] @ support.plane.normal for view, support in supports])
+        counts = np.array([float(support.pixels.sum()) for _, support in supports])
         agrees = directions @ directions.T > np.cos(np.deg2rad(_AGREE_DEGREES))
         best = int((agrees @ counts).argmax())
         if (agrees[best] * counts).sum() >= _LEAST_SHARE * counts.sum():
@@ -55,6 +60,14 @@ def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfi
             return SeenLevel(up, _lowest(seen, up), band)
     up = camera_up(frames)
     return None if up is None else SeenLevel(up, None, band)
+
+
+def _upward(supports: list[tuple[DepthView, FramePlane]]) -> list[tuple[DepthView, FramePlane]]:
+    """Supports that look up in their images, where cameras were held upright and some see one: walls before level cameras are none."""
+    upward = [(view, support) for view, support in supports if -support.plane.normal[1] > MIN_ANGLE_COS]
+    pixels, all_pixels = (sum(int(support.pixels.sum()) for _, support in each) for each in (upward, supports))
+    held = np.mean([-view.pose[:3, 1] for view, _ in supports], axis=0) if supports else np.zeros(3)
+    return upward if np.linalg.norm(held) >= _UPRIGHT and pixels >= _SOME_SHARE * all_pixels else supports
 
 
 def _planes(view: DepthView, config: FrameConfig) -> FramePlanes:

@@ -17,8 +17,11 @@ _SEED = 22
 _SAMPLE = 6000
 """Pixels by which hypotheses are weighed: shares of a percent are told apart."""
 
-_MIN_ANGLE_COS = 0.15
+MIN_ANGLE_COS = 0.15
 """Of a support's normal with the camera's own up: cameras that look down steeper, or are rolled, take the largest plane of all."""
+
+_LEVEL_DEGREES = 20.0
+"""Between a support and what is known to be up: a tracker's drift, and a plane of few pixels."""
 
 _RIVAL = 0.25
 """Share of the largest plane's pixels that another one needs to be the support in its place."""
@@ -40,6 +43,8 @@ class PlaneConfig(Config):
     storey_m: Positive = 0.1  # between a support and the floor below it, or a table on it: what is less high is a thing on it
     top_m2: Positive = 0.2  # of a plane over the support that carries things itself; less is the lid of a box
     behind_share: Share = 0.04  # of the pixels that may lie behind a wall; the front of a cupboard has the wall behind it
+    large_m2: Positive = 1.2  # from which on a plane is no furniture's, and more may lie behind it ...
+    beside_share: Share = 0.25  # ... so much of the pixels: the next room or the garden, seen where the wall ends
     wall_m2: Positive = 0.25  # less is the side of a box ...
     low_share: Share = 0.4  # ... unless so much of it is far below the support: the room behind a table
 
@@ -82,14 +87,15 @@ def frame_planes(frame: OrganizedFrame, config: PlaneConfig, up: Array | None = 
     up: Up in the camera's frame, shape (3,), where it is known; else the support tells.
     """
     planes = largest_planes(frame, config)
-    if not planes:
-        return FramePlanes(None)
     support = _support(planes, up)
+    upward = support.plane.normal if support is not None else up
+    if upward is None:
+        return FramePlanes(None)
     cosine = np.cos(np.deg2rad(config.level_degrees))
     lower, tops, walls = [], [], []
     for each in planes:
-        along = float(each.plane.normal @ support.plane.normal)
-        if each is not support and along > cosine:
+        along = float(each.plane.normal @ upward)
+        if support is not None and each is not support and along > cosine:
             height = float(np.median(support.plane.heights(frame.points[each.pixels])))
             if height < -config.storey_m:
                 lower.append(each)
@@ -100,22 +106,26 @@ def frame_planes(frame: OrganizedFrame, config: PlaneConfig, up: Array | None = 
     return FramePlanes(support, tuple(lower), tuple(tops), tuple(walls))
 
 
-def _support(planes: list[FramePlane], up: Array | None) -> FramePlane:
-    """The largest plane that looks up: where the camera stands on its feet, no wall in front of it does."""
+def _support(planes: list[FramePlane], up: Array | None) -> FramePlane | None:
+    """The largest plane that looks up: where the camera stands on its feet, no wall in front of it does. None where up is known, and none
+    looks there."""
     if up is not None:
-        level = [each for each in planes if float(each.plane.normal @ up) > np.cos(np.deg2rad(20))]
-        return max(level or planes, key=lambda each: int(each.pixels.sum()))
+        planes = [each for each in planes if float(each.plane.normal @ up) > np.cos(np.deg2rad(_LEVEL_DEGREES))]
+    if not planes or up is not None:
+        return max(planes, key=lambda each: int(each.pixels.sum()), default=None)
     largest = max(int(each.pixels.sum()) for each in planes)
-    upward = [each for each in planes if -each.plane.normal[1] > _MIN_ANGLE_COS and each.pixels.sum() >= _RIVAL * largest]
+    upward = [each for each in planes if -each.plane.normal[1] > MIN_ANGLE_COS and each.pixels.sum() >= _RIVAL * largest]
     return max(upward or planes, key=lambda each: int(each.pixels.sum()))
 
 
-def _is_wall(frame: OrganizedFrame, each: FramePlane, support: FramePlane, config: PlaneConfig) -> bool:
+def _is_wall(frame: OrganizedFrame, each: FramePlane, support: FramePlane | None, config: PlaneConfig) -> bool:
     """Whether an upright plane has nothing behind it, and is large, or goes on below what carries things."""
     heights = each.plane.heights(frame.points[frame.valid])
     behind = heights < -np.maximum(0.05, config.remove_sigmas * frame.noise[frame.valid])
-    low = float((support.plane.heights(frame.points[each.pixels]) < -config.storey_m).mean())
-    return (each.area_m2 >= config.wall_m2 or low >= config.low_share) and float(behind.mean()) <= config.behind_share
+    low = 0.0 if support is None else float((support.plane.heights(frame.points[each.pixels]) < -config.storey_m).mean())
+    stands = support is None or -support.plane.normal[1] > MIN_ANGLE_COS  # else the support may be a wall, and this what stands before it
+    most = config.beside_share if stands and each.area_m2 >= config.large_m2 else config.behind_share
+    return (each.area_m2 >= config.wall_m2 or low >= config.low_share) and float(behind.mean()) <= most
 
 
 def largest_planes(frame: OrganizedFrame, config: PlaneConfig) -> list[FramePlane]:

@@ -1,6 +1,7 @@
 """Instances of a scan that has frames and no labels: regions of frames, as far as views agree, on the scan's surface.
 
-Fused voxels are not clustered: what stands close together has grown into one there.
+Fused voxels are not clustered: what stands close together has grown into one there. In a room, whose furniture no frame shows whole,
+regions of its surface come first, and of these what frames see apart.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from tasks.capture.instances.segmentation import GeometryInstances
 from tasks.capture.instances.views import chosen_frames
 from tasks.capture.reading import FrameSource, groups_of
 from tasks.capture.segmentation.frame import FrameConfig, segmented_frame
+from tasks.capture.segmentation.refinement import RefinementConfig, refined
 from tasks.capture.small_objects.consensus import ConsensusConfig, associate
 from tasks.capture.small_objects.lifting import DepthView, FrameMasks, LiftedFrame, LiftingConfig, depth_view, lift
 from tasks.geometry.meshes import Surface
@@ -71,6 +73,7 @@ class VoteConfig(Config):
     frame: FrameConfig = dataclasses.field(default_factory=FrameConfig)  # see there
     lifting: RegionLifting = dataclasses.field(default_factory=RegionLifting)  # see there
     consensus: RegionConsensus = dataclasses.field(default_factory=RegionConsensus)  # see there
+    refinement: RefinementConfig = dataclasses.field(default_factory=RefinementConfig)  # see there
 
 
 def has_depth(frames: Sequence[FrameSource]) -> bool:
@@ -88,8 +91,8 @@ def voted_groups(
 ) -> GeometryInstances:  # fmt: skip
     """Instances of an aligned scan: the room as its surface has it, and what frames see of the rest.
 
-    by_surface: What the geometry of the surface alone shows; of that only floor, walls and ceiling are kept, and all of it where no frame
-    has depth and a pose. alignment: Scan frame to world frame, 4x4 [m]. naming: How categories are guessed.
+    by_surface: What the geometry of the surface alone shows; all of it is kept where no frame has depth and a pose, and nothing where the
+    scan is of a table. alignment: Scan frame to world frame, 4x4 [m]. naming: How categories are guessed.
 
     Raises:
         InputError: images of a frame cannot be read.
@@ -107,7 +110,12 @@ def voted_groups(
             named.append((category, group.vertices))
     views = [depth_view(frames[index], alignment) for index in chosen_frames(frames, config.most_frames)]
     normals, areas = vertex_normals(world.vertices, world.faces), vertex_areas(world)
-    for members, is_support in voted_instances(world, owner >= 0, [view for view in views if view is not None], config):
+    instances = voted_instances(world, owner >= 0, [view for view in views if view is not None], config)
+    if room and not is_table:
+        regions = [group.vertices for group in by_surface.groups if group.raw_label.partition(":")[2] not in ROOM]
+        parts, numbers = refined(regions, [members for members, _ in instances], areas, config.refinement)
+        instances = [(members, number >= 0 and instances[number][1]) for members, number in zip(parts, numbers, strict=True)]
+    for members, is_support in instances:
         owner[members] = len(named)
         points, facing, sizes = world.vertices[members], normals[members], areas[members]
         if is_support and is_table:
@@ -147,7 +155,8 @@ def voted_instances(world: Surface, is_room: Bools, views: Sequence[DepthView], 
     spacing = spacing_of(world)
     voxel = float(np.clip(spacing, _FINEST_M, _COARSEST_M))
     lifting = dataclasses.replace(config.lifting, voxel_m=voxel)
-    lifted = [region_masks(view, config.frame, lifting) for view in views]
+    seen_room = room_pixels(world, is_room, views, config.near_spacings * max(spacing, voxel))
+    lifted = [region_masks(view, config.frame, lifting, room) for view, room in zip(views, seen_room, strict=True)]
     consensus = associate(lifted, dataclasses.replace(config.consensus, voxel_m=voxel))
     if not consensus.instances:
         return []
@@ -165,16 +174,34 @@ def voted_instances(world: Surface, is_room: Bools, views: Sequence[DepthView], 
     return sorted((each for each in instances if len(each[0]) >= config.least_vertices), key=lambda each: (-len(each[0]), int(each[0][0])))
 
 
-def region_masks(view: DepthView, config: FrameConfig, lifting: LiftingConfig) -> LiftedFrame:
-    """Regions of a frame in the world, and what carries them: a table is a thing, too."""
-    up = view.pose[2, :3]
-    segments = segmented_frame(view, config, up)
+def room_pixels(world: Surface, is_room: Bools, views: Sequence[DepthView], reach: float) -> list[Bools | None]:
+    """Pixels of views whose nearest vertex, within a reach [m], is part of the room, shapes (h, w): a frame alone sees strips of walls, and
+    the surface all of them. None where there is no room. is_room: Of vertices, shape (n,)."""
+    from scipy.spatial import cKDTree
+
+    if not is_room.any():
+        return [None] * len(views)
+    tree = cKDTree(world.vertices)
+    seen: list[Bools | None] = []
+    for view in views:
+        pixels = view.depth > 0
+        distance, nearest = tree.query(view.points()[pixels], distance_upper_bound=reach)
+        pixels[pixels] = np.isfinite(distance) & np.append(is_room, False)[nearest]
+        seen.append(pixels)
+    return seen
+
+
+def region_masks(view: DepthView, config: FrameConfig, lifting: LiftingConfig, room: Bools | None = None) -> LiftedFrame:
+    """Regions of a frame in the world, and what carries them: a table is a thing, too. room: Pixels of floor and walls, shape (h, w)."""
+    segments = segmented_frame(view, config, view.pose[2, :3], room)
     masks = [segments.region == number for number in range(int(segments.region.max(initial=-1)) + 1)]
-    if segments.on_support.any():
-        masks.append(segments.on_support)
+    labels = [""] * len(masks)
+    on_support = segments.on_support if room is None else segments.on_support & ~room
+    if on_support.any():
+        masks.append(on_support)
+        labels.append(SUPPORT)
     stack = np.array(masks, dtype=bool).reshape(len(masks), *view.depth.shape)
-    labels = ("",) * (len(masks) - int(segments.on_support.any())) + (SUPPORT,) * int(segments.on_support.any())
-    return lift(view, FrameMasks(stack, labels, np.ones(len(masks))), lifting)
+    return lift(view, FrameMasks(stack, tuple(labels), np.ones(len(masks))), lifting)
 
 
 def spacing_of(world: Surface) -> float:

@@ -76,6 +76,7 @@ class ClassicalConfig(Config):
     """What stands out, what parts it, and what views have to agree on."""
 
     kind: ClassVar[str] = PROVIDER
+    widest_px: Count = 320  # wider frames are looked at in every second pixel, or fewer: noise of each is specks of wood on real tables
     least_height_m: Positive = 0.005  # a telephone is 8 mm thick; less than this is a board's own unevenness
     height_sigmas: Positive = 2.5  # nor is it a height that noise alone makes one pixel of a hundred
     thin_limits: Positive = 3.0  # so many times the least height is no noise, and a stem of one pixel
@@ -116,7 +117,17 @@ def found_in_masks(
 
 
 def found_masks(view: DepthView, slabs: Sequence[SupportSlab], config: ClassicalConfig) -> FrameMasks:
-    """Masks of what stands on boards in one frame, without names."""
+    """Masks of what stands on boards in one frame, without names; of a wide one, where it has depth, as every few pixels show them."""
+    every = max(1, round(view.depth.shape[1] / config.widest_px))
+    seen = _found_masks(view.thinned(every), slabs, config)
+    if every == 1:
+        return seen
+    height, width = view.depth.shape
+    large = np.repeat(np.repeat(seen.masks, every, axis=1), every, axis=2)[:, :height, :width] & (view.depth > 0)
+    return dataclasses.replace(seen, masks=large)
+
+
+def _found_masks(view: DepthView, slabs: Sequence[SupportSlab], config: ClassicalConfig) -> FrameMasks:
     depth = filled_depth(view.depth, config.patches.gap_m)
     whole = dataclasses.replace(view, depth=depth)
     world = whole.points()

@@ -69,6 +69,14 @@ class DepthView:
         local = np.stack([(columns - cx) / fx * depth, (rows - cy) / fy * depth, depth], axis=-1)
         return np.asarray(local @ self.pose[:3, :3].T + self.pose[:3, 3])
 
+    def thinned(self, every: int) -> DepthView:
+        """The frame with every so manieth pixel along each axis; pixel centers stay integers."""
+        if every == 1:
+            return self
+        fx, fy, cx, cy = (value / every for value in self.intrinsics)
+        depth, color = self.depth[::every, ::every], self.color[::every, ::every]
+        return dataclasses.replace(self, depth=np.ascontiguousarray(depth), color=np.ascontiguousarray(color), intrinsics=(fx, fy, cx, cy))
+
     def pixels(self, points: Array) -> tuple[Indices, Indices, Array, Bools]:
         """Row and column of points in the world frame, their depth [m], and which of them lie inside the image; each of shape (n,)."""
         local = (points - self.pose[:3, 3]) @ self.pose[:3, :3]

@@ -168,7 +168,9 @@ def test_the_former_code_runs_and_finds_little_of_a_table(table: TabletopFrame) 
 
 @pytest.mark.whole
 def test_a_small_run_prints_rows_and_goals() -> None:
-    result = CliRunner().invoke(command, ["capture", "--frames", "2", "--seed", "1000", "--json"], env={"METASCENES_REALDATA": ""})
+    result = CliRunner().invoke(
+        command, ["capture", "--parts", "frames", "--frames", "2", "--seed", "1000", "--json"], env={"METASCENES_REALDATA": ""}
+    )
     assert result.exit_code in (0, 1), result.output
     report = json.loads(result.output)
     rows = {row["code"]: row for row in report["parts"]["frames"]["rows"]}

@@ -16,11 +16,11 @@ from bench.models.report import PARTS, TRAINED, USUAL
 from bench.models.tables import print_models
 from bench.models.tabletops import Tabletop, tabletop
 from bench.models.trained import seeing
-from bench.models.trained.comparison import found_objects, thinned_masks, trained_report
+from bench.models.trained.comparison import classical_masks, found_objects, trained_report
 from bench.models.trained.fitting import CROP, NO_DEPTH, TrainedConfig, fitted_network, training_crop
 from bench.models.trained.grouping import PAIRS
 from bench.models.trained.scenes import FIRST_SEED, training_frames
-from bench.models.trained.seeing import WindowAnswer, seen_masks, thinned
+from bench.models.trained.seeing import WindowAnswer, seen_masks
 from bench.models.trained.things import WORDS
 from tasks.capture.small_objects.classical import ClassicalConfig, found_masks
 from tasks.capture.small_objects.lifting import DepthView
@@ -78,12 +78,12 @@ def test_large_frames_are_seen_in_every_second_pixel() -> None:
     fx, fy, cx, cy = view.intrinsics
     depth, color = (np.repeat(np.repeat(image, 2, axis=0), 2, axis=1) for image in (view.depth, view.color))
     large = dataclasses.replace(view, depth=depth, color=color, intrinsics=(2 * fx, 2 * fy, 2 * cx, 2 * cy))
-    small = thinned(large, 2)
+    small = large.thinned(2)
     assert np.array_equal(small.depth, view.depth)
     assert small.intrinsics == view.intrinsics
-    assert np.allclose(thinned(large, 2).points(), large.points()[::2, ::2])
+    assert np.allclose(small.points(), large.points()[::2, ::2])
     expected = found_masks(view, slabs, ClassicalConfig()).masks & (view.depth > 0)
-    assert np.array_equal(thinned_masks(large, slabs).masks[:, ::2, ::2], expected)
+    assert np.array_equal(classical_masks(large, slabs).masks[:, ::2, ::2], expected)
 
 
 def test_an_example_is_a_crop_whose_pixels_are_somebodys() -> None:

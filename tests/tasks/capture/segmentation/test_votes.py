@@ -18,11 +18,13 @@ from tasks.capture.reading import FrameSource, Reading
 from tasks.capture.scenes import read_scan
 from tasks.capture.segmentation.frame import FrameConfig
 from tasks.capture.segmentation.gravity import scan_level
-from tasks.capture.segmentation.votes import VoteConfig, is_tabletop
+from tasks.capture.segmentation.votes import VoteConfig, is_tabletop, room_pixels
 from tasks.capture.small_objects.lifting import DepthView
-from tasks.geometry.transforms import matrix
+from tasks.geometry.meshes import Surface
+from tasks.geometry.transforms import matrix, translation
 from tasks.stage import Context, Outcome
 from tests.tasks.capture.segmentation.test_frame import FLOOR, SHOWN, TOP, shown
+from tests.tasks.capture.segmentation.test_strips import EYE_M, block, room
 
 
 def reading_of(folder: Path, views: list[DepthView]) -> Reading:
@@ -45,6 +47,29 @@ def test_up_is_over_the_table_however_steep_the_camera_looks(pitch: float, tmp_p
     by_cameras = camera_up(frames)
     assert by_cameras is not None
     assert np.degrees(np.arccos(by_cameras @ up)) == pytest.approx(np.degrees(pitch), abs=1.0), "what was believed before"
+
+
+def test_walls_that_level_cameras_see_are_not_what_carries_things(tmp_path: Path) -> None:
+    """Three of four frames show a wall and no floor, which has a fifth of all pixels."""
+    views = [room([], np.array([4.0, side, EYE_M]))[0] for side in (-0.4, 0.0, 0.4)]
+    views = [*views, room([])[0]]
+    level, up = scan_level(reading_of(tmp_path / "room", views).frames, 0.02, FrameConfig()), np.array([0.0, 0.0, 1.0])
+    assert level is not None
+    assert np.degrees(np.arccos(min(1.0, float(level.up @ up)))) < 0.5
+    assert level.height == pytest.approx(0.0, abs=0.01)
+
+
+def test_pixels_of_the_room_are_those_whose_nearest_vertex_is(tmp_path: Path) -> None:
+    view, owner = room([[block((0.4, 0.8, 0.9), 0.3, 0.0)]])
+    points, has_depth = view.points(), view.depth > 0
+    world = Surface(points[has_depth], np.zeros((0, 3), dtype=np.int64), view.color[has_depth])
+    (seen,) = room_pixels(world, owner[has_depth] < 0, [view], 0.02)
+    assert seen is not None
+    assert (seen == (has_depth & (owner < 0))).all(), "each pixel lies on its own vertex"
+    (moved,) = room_pixels(world.transformed(translation([0, 0, 5.0])), owner[has_depth] < 0, [view], 0.02)
+    assert moved is not None
+    assert not moved.any()
+    assert room_pixels(world, np.zeros(has_depth.sum(), dtype=bool), [view], 0.02) == [None]
 
 
 def test_frames_without_depth_or_plane_leave_it_to_cameras(tmp_path: Path) -> None:
