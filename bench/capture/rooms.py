@@ -19,8 +19,8 @@ from tasks.capture import CaptureConfig
 from tasks.capture.formats import find_scans
 from tasks.capture.fusion import fused_surface
 from tasks.capture.instances.segmentation import geometry_instances
+from tasks.capture.leveling import read_scan
 from tasks.capture.rooms.alignment import align
-from tasks.capture.scenes import read_scan
 from tasks.capture.segmentation.gravity import scan_level
 from tasks.capture.segmentation.votes import spacing_of, voted_groups
 
