@@ -24,9 +24,9 @@ from flows.scans.choice import found_scans, scan_source, settled
 from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run, scan_files
 from tasks.capture.formats import find_scans, left_out
+from tasks.capture.leveling import read_scan
 from tasks.capture.premises import Premises
 from tasks.capture.scan import Scan, license_path
-from tasks.capture.scenes import read_scan
 from tasks.capture.wholeness import find_gap
 from tasks.stage import Context, Outcome
 from tests.capture_scans import box_room, write_posed_rgbd, write_scannet

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tasks.capture.formats import find_scans
+from tasks.capture.leveling import read_scan
 from tasks.capture.poses.fit import pose_fit
 from tasks.capture.reading import FrameSource
-from tasks.capture.scenes import read_scan
 from tests.capture_scans import box_room, write_posed_rgbd
 
 

@@ -17,10 +17,10 @@ from bench.capture.walks import RoomFilm, drifted, walk
 from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run
 from tasks.capture.formats import find_scans
+from tasks.capture.leveling import read_scan
 from tasks.capture.poses.open3d import Open3DPoses
 from tasks.capture.poses.provider import GivenPoses, PosesConfig, moved_onto, with_poses
 from tasks.capture.reading import Reading
-from tasks.capture.scenes import read_scan
 from tasks.capture.small_objects.additions import SmallObjectsConfig, Unsought
 from tasks.geometry.transforms import inverse, is_rigid
 from tasks.stage import Context

@@ -14,8 +14,8 @@ from schemas.tables import TABLES
 from tasks.capture import CaptureConfig, find_scans, run
 from tasks.capture.fusion import FusionConfig, voxel_side
 from tasks.capture.instances.views import camera_up
+from tasks.capture.leveling import read_scan
 from tasks.capture.reading import FrameSource, Reading
-from tasks.capture.scenes import read_scan
 from tasks.capture.segmentation.frame import FrameConfig
 from tasks.capture.segmentation.gravity import scan_level
 from tasks.capture.segmentation.votes import VoteConfig, is_tabletop, room_pixels

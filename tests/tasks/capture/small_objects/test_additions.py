@@ -19,8 +19,8 @@ from tasks.capture import CaptureConfig, find_scans, run
 from tasks.capture.instances.rows import scanned_solid
 from tasks.capture.instances.views import run_lengths
 from tasks.capture.labels import label_map
+from tasks.capture.leveling import read_scan
 from tasks.capture.reading import Group
-from tasks.capture.scenes import read_scan
 from tasks.capture.small_objects.additions import Making, SmallObjectsConfig, Unsought, with_small_objects
 from tasks.capture.small_objects.classical import ClassicalConfig
 from tasks.capture.small_objects.consensus import ConsensusConfig
