@@ -100,7 +100,7 @@ def foreseen_rescans(lake: Lake, plan: Plan, configuration: Configuration, retry
     from tasks.capture.formats import room_of
 
     jobs = planned_rescans(lake, {scene.scan.scene_id for scene in plan.scenes}, configuration, retry_failed).todo
-    found = {job.scene_id: dict(job.outside)["rescanned_rooms"][1:] for job in jobs}
+    held = {job.scene_id: dict(job.outside)["rescanned_rooms"][1:] for job in jobs}
     fresh = {scene.scan.scene_id: room_of(scene.scan) for scene in plan.scenes if _is_captured_anew(scene)}
     rooms: defaultdict[str, set[str]] = defaultdict(set)
     for scene, name in fresh.items():
@@ -113,8 +113,8 @@ def foreseen_rescans(lake: Lake, plan: Plan, configuration: Configuration, retry
         for place, scene in enumerate(scans):
             before = tuple(reversed(scans[max(0, place - earlier) : place]))
             if before and not fresh.keys().isdisjoint((scene, *before)):
-                found[scene] = before
-    return dict(sorted(found.items()))
+                held[scene] = before
+    return dict(sorted(held.items()))
 
 
 def _is_captured_anew(scene: ScenePlan) -> bool:
