@@ -129,7 +129,9 @@ def test_labelled_faces_make_the_instances_of_the_native_format(
     for one, other in zip(instances(mine), instances(native), strict=True):
         if one.is_structure:
             continue
-        assert iou(one, other) > 0.85, (one.category, one.box_size, other.box_size)
+        is_as_small = one.box_volume_m3 == pytest.approx(other.box_volume_m3, rel=0.05)  # of few sides seen, another turn may be
+        assert iou(one, other) > 0.85 or is_as_small, (one.category, one.box_size, other.box_size)
+        assert abs(one.point_count - other.point_count) <= 0.02 * other.point_count
 
 
 def iou(one: Instance, other: Instance) -> float:
