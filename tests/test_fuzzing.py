@@ -51,6 +51,7 @@ OWN = {
     "tasks/views/crops.py decoded": "reads blobs of the lake",
     "tasks/selection/methods/encoders.py": "reads weights that the user names; tests/tasks/selection/test_foreign_methods.py damages them",
     "tasks/calls/": "reads answers of a server; tests/tasks/calls and tests/tasks/captions damage them",
+    "tasks/capture/poses/open3d": "reads answers of its own child, and there its own settings",
     "tasks/capture/small_objects/supports.py": "reads a table that the user edits; damaged in test_supports.py",
     "tasks/capture/small_objects/detectors/commanded.py": "reads what a program of the user wrote; damaged in test_detectors.py",
     "tasks/capture/small_objects/items/": "reads prompts and lists of the package or the user; damaged in test_items.py",

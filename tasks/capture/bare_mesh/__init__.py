@@ -17,8 +17,6 @@ from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
 from tasks.ingestion import models
-from tasks.library.obj import OBJ
-from tasks.library.usd import USD
 
 SUFFIXES = (".obj", ".ply", ".usdz", ".glb")
 """Of files that are read. GLBs are looked at as scenes of named objects first, unless this format is asked for by name."""
@@ -32,6 +30,9 @@ def read_mesh(scan: Scan) -> Reading:
     Raises:
         InputError: the file is broken, larger than the budget, without triangles, or of no size that any unit explains.
     """
+    from tasks.library.obj import OBJ  # which read what this package reads, and so import it
+    from tasks.library.usd import USD
+
     path = single_file(scan, SUFFIXES)
     name, root = name_of(path, path.parent), path.parent
     license = license_of(license_path(scan.folder, scan.premises))
