@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections import defaultdict
 from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 from flows.run.fingerprints import canonical_json, code_fingerprint, digest
+from schemas.errors import InputError
 from schemas.families.scan_formats import SCAN_FORMATS
 
 if TYPE_CHECKING:
@@ -101,19 +103,23 @@ def foreseen_rescans(lake: Lake, plan: Plan, configuration: Configuration, retry
 
     jobs = planned_rescans(lake, {scene.scan.scene_id for scene in plan.scenes}, configuration, retry_failed).todo
     held = {job.scene_id: dict(job.outside)["rescanned_rooms"][1:] for job in jobs}
-    fresh = {scene.scan.scene_id: room_of(scene.scan) for scene in plan.scenes if _is_captured_anew(scene)}
+    fresh: dict[str, str] = {}
+    for scene in plan.scenes:
+        if _is_captured_anew(scene):
+            with contextlib.suppress(InputError):  # which its capture will say
+                fresh[scene.scan.scene_id] = room_of(scene.scan)
     rooms: defaultdict[str, set[str]] = defaultdict(set)
-    for scene, name in fresh.items():
-        rooms[name].add(scene)
+    for scene_id, room in fresh.items():
+        rooms[room].add(scene_id)
     for row in lake.snapshot().matching("scenes", {}, ["scene_id", "room_id", "scan_format"]).to_pylist() if fresh and lake.exists else ():
         if row["scan_format"] in SCAN_FORMATS and row["scene_id"] not in fresh:
             rooms[row["room_id"]].add(row["scene_id"])
     earlier = configuration.stages[STAGE].earlier
     for scans in map(sorted, rooms.values()):
-        for place, scene in enumerate(scans):
+        for place, later in enumerate(scans):
             before = tuple(reversed(scans[max(0, place - earlier) : place]))
-            if before and not fresh.keys().isdisjoint((scene, *before)):
-                held[scene] = before
+            if before and not fresh.keys().isdisjoint((later, *before)):
+                held[later] = before
     return dict(sorted(held.items()))
 
 

@@ -169,7 +169,7 @@ class CandidateRequest:
     def field(self) -> SolidField:
         """The solid field of the crop."""
         pose, size = grown_box(self.instance.box_pose, self.instance.box_size, self.instance.hidden_m)
-        is_guessed = self.instance.category_probability is not None and float(pose[2, 3] - 0.5 * size[2]) <= NEAR_FLOOR_M
+        is_guessed = self.instance.found_by == "geometry" and float(pose[2, 3] - 0.5 * size[2]) <= NEAR_FLOOR_M
         return solid_field(
             self.crop, Unseen.of(self.instance.hidden_m, carried(self.category, self.instance.box_size, is_guessed), self.held)
         )

@@ -120,7 +120,7 @@ def with_hidden_parts(
     rows = [_along_its_wall(row, cloud, walls) for row, cloud in zip(rows, points, strict=True)]
     made = list(rows)
     for i in movable:
-        kind = carried(rows[i].category, rows[i].box_size, rows[i].category_probability is not None)
+        kind = carried(rows[i].category, rows[i].box_size, rows[i].found_by == "geometry")
         below = _below(i, rows[i], kind, seen, {k: rows[k] for k in np.flatnonzero(raised).tolist() if k != i}, passed, walls)
         sides = np.array([0.0, 0.0, 0.0, 0.0, below, 0.0])
         bottom = float(rows[i].box_pose[11]) - 0.5 * rows[i].box_size[2] - below

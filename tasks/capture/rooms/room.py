@@ -111,8 +111,6 @@ def _median_color(parts: Iterable[tuple[NDArray[np.uint8], Label]], nyu40: int) 
 
 def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
     """The room around a scan. `nyu40`: NYU40 class of each point of the cloud, 0 for none, shape (n,)."""
-    import shapely
-
     kinds = _kinds(cloud, nyu40)
     height, height_source = _height(cloud, kinds)
     plan = FloorCells.of(cloud, kinds, height)
@@ -125,14 +123,15 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
         notes.append("no floor to be seen: its polygon is the extent of the scan")
         area, walls, inner = float(np.prod(high - low)), _edges(polygon), np.zeros((0, 6))
         return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
-    is_named = bool((nyu40 == WALL).any())
-    outline, missed, furniture = _with_furniture(outline, cloud, kinds, is_named)
+    lines = [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
+    has_walls = bool((nyu40 == WALL).any()) or min(map(len, lines)) >= 2
+    outline, missed = _with_furniture(outline, cloud, kinds, has_walls)
     if missed > 0.0:
         notes.append(f"the floor was seen in patches: {missed:.1f} m2 under and around furniture are added to its polygon")
-    lines = [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
-    shape, is_snapped = _snapped(plan, outline, lines, cloud, kinds)
-    if not is_named:
-        shape = largest(shapely.union_all([shape, furniture])) or shape
+    if has_walls:
+        shape, is_snapped = _snapped(plan, outline, lines, cloud, kinds)
+    else:
+        shape, is_snapped = outline.simplify(0.5 * _AROUND_M), False
     if plan.left_out_m2 > 1.0:
         notes.append(f"{plan.left_out_m2:.1f} m2 of floor not connected to the rest: left out of the polygon")
     polygon = _ring(shape)
@@ -202,11 +201,12 @@ def _height(cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[float, str]:
     return max(float(np.percentile(z, 99.5)), 0.1), "extent"
 
 
-def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], is_named: bool) -> tuple[Polygon, float, Polygon]:
-    """The outline with what stands outside of it, how much was added [m2], and the furniture; as it was where little stands outside.
+def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], has_walls: bool) -> tuple[Polygon, float]:
+    """The outline with what stands outside of it, and how much was added [m2]; as it was where little stands outside.
 
-    A few frames see furniture well and the floor in patches: then furniture lies across the patches' outline. is_named: The scan names
-    its walls. Where it does not, what hangs in the air is furniture, too, whose lower part was hidden, and nothing may stand outside.
+    A few frames see furniture well and the floor in patches: then furniture lies across the patches' outline. has_walls: Walls are named,
+    or seen along both axes. Where they are not, what hangs in the air is furniture, too, whose lower part was hidden, and nothing within
+    reach may stand outside.
     """
     import shapely
 
@@ -217,23 +217,36 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], is
         if cloud.instance[members[0]] < 0 or len(points) < _FEW_POINTS or kinds[members].any():
             continue
         low, high = np.percentile(points, [1, 99], axis=0)
-        if low[2] < (_STANDING_M if is_named else _MIN_HEIGHT_M):
+        if low[2] < (_STANDING_M if has_walls else _MIN_HEIGHT_M):
             within = ((points[:, :2] >= low[:2]) & (points[:, :2] <= high[:2])).all(axis=1)
-            hulls.append(shapely.MultiPoint(points[within, :2]).convex_hull.buffer(CELL_M) if is_named else _around(points))
+            hulls.append(shapely.MultiPoint(points[within, :2]).convex_hull.buffer(CELL_M) if has_walls else _around(points))
     walls = cloud.points[kinds == WALL]
-    walls = walls[:, :2] if is_named else walls[_is_tall(walls), :2]
+    walls = walls[:, :2] if has_walls else walls[_is_tall(walls), :2]
     hulls = [hull for hull in hulls if not _is_behind_wall(hull, outline, walls)]
     furniture = shapely.union_all(hulls) if hulls else shapely.Polygon()
-    if furniture.difference(outline).area <= (_MISSED_SHARE if is_named else 0.0) * outline.area:
-        return outline, 0.0, furniture
-    whole = shapely.union_all([outline, furniture])
-    for part in sorted(shapely.get_parts(whole), key=lambda part: float(part.distance(outline))):
-        away = float(part.distance(outline))
-        if 0.0 < away <= _BRIDGED_M:  # the floor between was not seen
-            near = shapely.intersection(outline, part.buffer(away + 0.3))
-            whole = shapely.union_all([whole, shapely.union_all([part, near]).convex_hull])
-    grown = largest(closed(whole, _PATCHES_M if is_named else _ROOM_M))
-    return (grown, float(grown.area - outline.area), furniture) if grown is not None else (outline, 0.0, furniture)
+    if furniture.difference(outline).area <= (_MISSED_SHARE if has_walls else 0.0) * outline.area:
+        return outline, 0.0
+    parts = shapely.get_parts(shapely.union_all([outline, furniture])).tolist()
+    room = max(parts, key=lambda part: float(part.intersection(outline).area))
+    parts.remove(room)
+    while parts:
+        part = min(parts, key=lambda part: float(part.distance(room)))
+        away = float(part.distance(room))
+        if away > _BRIDGED_M:
+            break
+        near = shapely.intersection(room, part.buffer(away + 0.3))  # the floor between was not seen
+        room = shapely.union_all([room, shapely.union_all([part, near]).convex_hull])
+        parts.remove(part)
+    whole = shapely.union_all([room, closed(room, _PATCHES_M if has_walls else _ROOM_M)])  # closing cuts necks between acute corners
+    grown = _around_floor(whole, outline)
+    return (grown, float(grown.area - outline.area)) if grown is not None else (outline, 0.0)
+
+
+def _around_floor(shape: Polygon, outline: Polygon) -> Polygon | None:
+    """The polygon of a shape that holds most of the seen floor, without holes."""
+    import shapely
+
+    return largest(max(shapely.get_parts(shape).tolist(), key=lambda part: float(part.intersection(outline).area)))
 
 
 def _around(points: Array) -> Polygon:

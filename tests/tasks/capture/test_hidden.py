@@ -41,6 +41,7 @@ def instance(category: str, points: Array, number: int = 0, probability: float |
     return sample(
         Instance, instance_id=f"{number:04d}", category=category, is_structure=False, box_pose=flat(pose), box_size=tuple(high - low),
         hidden_m=None, category_probability=probability,
+        found_by="geometry" if probability is not None else "scan",
     )  # fmt: skip
 
 
