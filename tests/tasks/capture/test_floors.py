@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapely import MultiPoint, Polygon
+from shapely import MultiPoint, Polygon, box
 
 from tasks.capture.cloud import dense_cloud
 from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
@@ -92,7 +94,7 @@ def test_what_lies_outside_of_walls_is_no_floor() -> None:
     assert shapely.Polygon(estimated([*pieces, outside]).polygon).area == pytest.approx(18.0, abs=0.4)
 
 
-CORNERS = st.floats(-1.2, 5.4), st.floats(-1.2, 3.6), st.floats(0.0, 1.4)
+CORNERS = st.floats(0.2, 5.2), st.floats(-0.2, 3.8), st.floats(0.0, 1.4)  # within 1.5 m of the seen floor
 
 
 @given(st.lists(st.tuples(*CORNERS, st.floats(0.15, 1.6), st.floats(0.15, 1.2), st.floats(0, 3)), min_size=1, max_size=4))
@@ -116,3 +118,20 @@ def test_furniture_behind_a_wall_that_nobody_named_stands_in_another_room() -> N
     polygon = Polygon(estimate_room(cloud, classes).polygon)
     assert polygon.contains(MultiPoint(low[1][0][:, :2]))
     assert not polygon.intersects(MultiPoint(far[1][0][:, :2]))
+
+
+def test_walls_that_nobody_named_bound_a_room_however_low_they_were_seen() -> None:
+    """A bed at a wall of which 1.1 m were seen takes none of what lies behind it."""
+    pieces = [*shell(), solid_piece("bed", (0.01, 1.0, 0.0), (2.0, 2.6, 0.5))]
+    room = assembled(pieces)
+    walls = [number for number, label in enumerate(room.labels) if label == "wall"]
+    instance = np.where(np.isin(room.instance, [0, *walls]), -1, room.instance)
+    low = ~(np.isin(room.instance, walls) & (room.surface.vertices[:, 2] > 1.1))
+    surface = Surface(room.surface.vertices, room.surface.faces[low[room.surface.faces].all(axis=1)], room.surface.colors)
+    cloud = dense_cloud(surface, instance)
+    used = np.unique(surface.faces)
+    cloud = dataclasses.replace(
+        cloud, points=cloud.points[used], normals=cloud.normals[used], areas=cloud.areas[used], instance=cloud.instance[used]
+    )
+    polygon = Polygon(estimate_room(cloud, np.zeros(len(cloud.points), dtype=np.int64)).polygon)
+    assert polygon.symmetric_difference(box(0.0, 0.0, WIDTH, DEPTH)).area < 0.3

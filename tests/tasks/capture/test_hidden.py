@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -423,3 +425,10 @@ def test_what_has_no_name_does_not_reach_through_what_stands_below_it() -> None:
             probability=0.6,
         )
         assert low[2] == pytest.approx(0.7)
+
+
+def test_what_was_found_on_furniture_is_no_furniture() -> None:
+    """A nameless thing on a sideboard, whose top was seen nowhere but beside it, and of which nothing below was seen."""
+    row = dataclasses.replace(instance("object", BACK, probability=0.6), found_by="classical")
+    (made,) = with_hidden_parts([row], [BACK], NO_FLOOR, ROOM)
+    assert made.hidden_m == (0.0,) * 6
