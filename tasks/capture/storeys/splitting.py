@@ -99,7 +99,7 @@ def _writable(storeys: Sequence[Storey], name: str) -> tuple[tuple[Storey, ...],
             if surface is None:
                 raise InputError(name, "intrinsics", LENSES, "write one for all frames")
             storey = dataclasses.replace(storey, reading=dataclasses.replace(storey.reading, frames=()))
-            notes.append(f"{where} would be without its {len(frames)} frames: {LENSES}")
+            notes.append(f"{where} is without its {len(frames)} frames: {LENSES}")
         kept.append(storey)
     return tuple(kept), notes
 

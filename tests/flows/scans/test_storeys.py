@@ -195,7 +195,7 @@ def test_a_trial_says_what_frames_would_be_left_out(tmp_path: Path) -> None:
     write_arkitscenes(tmp_path / "in" / "41069021", dataclasses.replace(before, frames=frames))
     (trial,) = divide(tmp_path / "in", tmp_path / "out", dry_run=True)
     assert [note for note in trial.notes if "lens" in note] == [
-        f"storey {k} would be without its 3 frames: its frames have a lens each, which the folder of a storey cannot state" for k in (0, 1)
+        f"storey {k} is without its 3 frames: its frames have a lens each, which the folder of a storey cannot state" for k in (0, 1)
     ]
     (row,) = divide(tmp_path / "in", tmp_path / "out")
     assert (row.action, row.notes) == ("divided", trial.notes)
