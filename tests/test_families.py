@@ -50,6 +50,7 @@ ROOMS = ("schemas", "tasks", "warehouse", "flows", "bench")
 
 ELSEWHERE = {
     "bench/capture/meshes.py bare_mesh": "names of nodes are withheld by asking for the format that reads none",
+    "bench/capture/rooms.py posed_rgbd": "the benchmark fuses frames of that format, which a generated room was written in",
     "bench/colliders.py library": "where measured assets come from: a folder of models",
     "bench/engines/scenes.py mjcf": "the files that the benchmark's engines read, each of one format",
     "bench/engines/scenes.py urdf": "as above",

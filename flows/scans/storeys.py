@@ -55,6 +55,10 @@ def divide_scans(
         except OSError as error:
             problem = InputError(scan.path.name, "files", str(error), "check that they can be read, and --out written")
             done.append(ScanStoreys(scan.scene_id, str(scan.path), "failed", error=str(problem)))
+        except Exception as error:  # a defect of ours, of which a line says what and where, as in a run
+            from flows.worker import kind_and_text
+
+            done.append(ScanStoreys(scan.scene_id, str(scan.path), "failed", error=kind_and_text(error)[1]))
         advance(scan.scene_id)
     hashes.save()
     return done
@@ -64,6 +68,8 @@ def _divide(scan: Scan, out: Path, config: CaptureConfig, hashes: FileHashes, dr
     from tasks.capture.storeys.splitting import divided
 
     folder = out / scan.scan
+    if not dry_run:
+        _mend(folder)
     known = _record(folder)
     if known is not None and known["scene_id"] != scan.scene_id:
         raise InputError(folder, "folder", f"has the storeys of {known['scene_id']}", "name another --out, or remove it")
@@ -79,8 +85,9 @@ def _divide(scan: Scan, out: Path, config: CaptureConfig, hashes: FileHashes, dr
             _remove(folder)
         return ScanStoreys(scan.scene_id, str(scan.path), "whole", notes=parted.notes)
     record = _facts(parted, mark)
-    notes = parted.notes if dry_run else (*parted.notes, *_write(folder, parted, record))
-    return _outcome(scan, "divided", record, notes)
+    if not dry_run:
+        _write(folder, parted, record)
+    return _outcome(scan, "divided", record, parted.notes)
 
 
 def _outcome(scan: Scan, action: Literal["divided", "unchanged"], record: dict[str, Any], notes: tuple[str, ...] = ()) -> ScanStoreys:
@@ -127,10 +134,18 @@ def _facts(scan: Divided, mark: str) -> dict[str, Any]:
 
 def _remove(folder: Path) -> None:
     """Take away the storeys of a scan that has one now."""
-    former = _beside(folder, "former")
-    shutil.rmtree(former, ignore_errors=True)
-    os.replace(folder, former)
-    shutil.rmtree(former)
+    going = _beside(folder, "making")  # as what is half there, which nobody puts back
+    os.replace(folder, going)
+    shutil.rmtree(going)
+
+
+def _mend(folder: Path) -> None:
+    """Leave nothing of what was stopped: the former storeys are back where no others took their place, and else gone."""
+    making, former = _beside(folder, "making"), _beside(folder, "former")
+    if former.exists() and not folder.exists():
+        os.replace(former, folder)
+    for left in (making, former):
+        shutil.rmtree(left, ignore_errors=True)
 
 
 def _beside(folder: Path, word: str) -> Path:
@@ -138,22 +153,17 @@ def _beside(folder: Path, word: str) -> Path:
     return folder.with_name(f".{folder.name}.{word}")
 
 
-def _write(folder: Path, scan: Divided, record: dict[str, Any]) -> list[str]:
+def _write(folder: Path, scan: Divided, record: dict[str, Any]) -> None:
     """Put the folder of a scan's storeys in its place, or in that of a former one."""
     from tasks.capture.storeys.splitting import write_divided
 
-    making, former = _beside(folder, "making"), _beside(folder, "former")
-    for left in (making, former):  # by somebody who was killed
-        shutil.rmtree(left, ignore_errors=True)
+    making = _beside(folder, "making")
     making.mkdir(parents=True)
     try:
-        notes = write_divided(making, scan)
+        write_divided(making, scan)
         (making / STOREYS_RECORD).write_text(json.dumps(record, indent=1) + "\n")
         if folder.exists():
-            os.replace(folder, former)
+            os.replace(folder, _beside(folder, "former"))
         os.replace(making, folder)
     finally:
-        shutil.rmtree(making, ignore_errors=True)
-        if folder.exists():
-            shutil.rmtree(former, ignore_errors=True)
-    return notes
+        _mend(folder)

@@ -23,7 +23,7 @@ FORMATS = members("tasks.capture", SCAN_FORMATS, ScanFormat)
 EXAMPLE = next((format for format in FORMATS if format.is_plain), FORMATS[0])
 """What errors name where any format would do."""
 
-STOREY = re.compile(r"_floor\d+$")
+STOREY = r"_floor\d+"
 """How names of scans end that are storeys of another one."""
 
 
@@ -41,19 +41,18 @@ def format_of(scan: Scan) -> ScanFormat:
 
 
 def room_of(scan: Scan) -> str:
-    """Id of the physical room of a scan: rescans, where its format tells by names or files, are of one, and so are the storeys of a
-    dwelling; otherwise the scene's own.
+    """Id of the physical room of a scan: rescans, where its format tells by names or files, are of one, and so is one storey in each of
+    them; otherwise the scene's own. Two storeys are two rooms: nothing of one is in the other.
 
     Raises:
         InputError: the file that says so is broken.
     """
-    scan = dataclasses.replace(scan, scan=STOREY.sub("", scan.scan))
     stated, pattern = format_of(scan).room_stated, format_of(scan).room
     name = stated(scan) if stated is not None else None
     if name:
         return dataclasses.replace(scan, scan=name).scene_id
-    match = re.fullmatch(pattern, scan.scene_id) if pattern else None
-    return match[1] if match else scan.scene_id
+    match = re.fullmatch(f"{pattern}(?P<storey>{STOREY})?", scan.scene_id) if pattern else None
+    return match[1] + (match["storey"] or "") if match else scan.scene_id
 
 
 def find_scans(

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.formats import format_of, left_out
@@ -17,9 +18,13 @@ from tasks.capture.scan import Scan
 from tasks.capture.segmentation.gravity import scan_level
 from tasks.capture.segmentation.votes import VoteConfig, spacing_of
 from tasks.geometry.meshes import Surface
+from tasks.geometry.triangles import face_areas
 
 _ONE_FLOOR_M = 1.8
 """Floors of one storey lie within so much."""
+
+_LEVEL_M, _LEVEL_SHARE = 0.5, 0.25
+"""What lies within so much is a level, and has at least so much of the largest one's area: less is stray, or called a floor by mistake."""
 
 
 def read_scan(scan: Scan) -> Reading:
@@ -63,7 +68,16 @@ def aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], votes
     floor = masks[FLOOR]
     if floor is not None:  # of several storeys the lowest: no plane goes through the floors of all
         height = surface.vertices[surface.faces, 2].mean(axis=1)
-        floor &= height < float(np.percentile(height[floor], 2)) + _ONE_FLOOR_M
+        floor &= height < _lowest_floor(height[floor], face_areas(surface.vertices, surface.faces[floor])) + _ONE_FLOOR_M
     # A scan with a mesh of its own has its z axis up already; fused frames have only what they see to tell.
     level = scan_level(reading.frames, spacing_of(surface), votes.frame) if reading.surface is None else None
     return align(surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, level=level, is_authored=is_authored)
+
+
+def _lowest_floor(height: NDArray[np.float64], areas: NDArray[np.float64]) -> float:
+    """Where the lowest level begins that has a real share of the floor [m]. height: Of its faces [m], shape (m,). areas: Of these [m2]."""
+    order = np.argsort(height, kind="stable")
+    ordered, below = height[order], np.append(0.0, np.cumsum(areas[order]))
+    ends = np.searchsorted(ordered, ordered + _LEVEL_M, side="right")
+    level = below[ends] - below[:-1]  # area from each face up
+    return float(ordered[np.argmax(level >= _LEVEL_SHARE * level.max())])

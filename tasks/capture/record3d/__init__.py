@@ -73,7 +73,7 @@ def read_record3d(scan: Scan) -> Reading:
     known = [poses[number] if number < len(poses) else None for number in numbers]
     sources, notes = frame_sources(frames, folder, size, depth_size, both, 1.0, known, {}, reader)
     license = license_of(license_path(folder, scan.premises))
-    return Reading(surface=None, frames=sources, license=license, degradations=tuple(notes))
+    return Reading(surface=None, frames=sources, license=license, degradations=tuple(notes), from_file=Y_UP_TO_Z_UP)
 
 
 def _check_unpacked(path: Path | None, folder: Path) -> None:

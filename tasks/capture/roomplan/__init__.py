@@ -21,6 +21,7 @@ from tasks.capture.roomplan.elements import elements_of
 from tasks.capture.roomplan.surfaces import box_part, floor_part, floor_within, panel_part, wall_part
 from tasks.capture.scan import Scan, ScanFormat, license_path, own_file
 from tasks.geometry.meshes import surface_of
+from tasks.geometry.transforms import Y_UP_TO_Z_UP
 
 _NAMED = re.compile(r"(captured|roomplan).*\.json", re.IGNORECASE)
 
@@ -82,6 +83,7 @@ def read_roomplan(scan: Scan) -> Reading:
         license=license_of(license_path(folder, scan.premises)),
         is_dense=False,
         degradations=tuple(notes),
+        from_file=Y_UP_TO_Z_UP,
     )
 
 

@@ -6,13 +6,12 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
-from schemas.errors import InputError
 from schemas.files import read_file
 from tasks.capture.files.frames import DEPTH_SCALE
 from tasks.capture.reading import FrameSource, Group, Reading
@@ -30,45 +29,55 @@ _KEPT = (".jpg", ".jpeg", ".png")
 _LENS_PX = 0.01
 """Lenses of a scan that differ by less are one."""
 
-LENSES = "its frames have a lens each, which the folder of a storey cannot state"
+StoreyLayout = Literal["frames", "mesh", "nodes", "instances"]
+"""Of the folders of storeys: posed frames alone, a bare PLY, a GLB, or as ScanNet lays out a mesh with instances or frames."""
 
 
-def write_storey(folder: Path, storey: Reading, scan: Path, is_ply: bool, to_level: Array) -> list[str]:
-    """Write a storey as the folder of a scan, whose name is the scan's, and say what had to be left out.
+def layout_of(storeys: Sequence[Reading], is_ply: bool) -> StoreyLayout:
+    """The layout that all storeys of a scan have, also those that have none of what others of them have: beside a folder of instances or
+    frames, a bare mesh would be taken for what is left over of one. is_ply: Bare meshes are written as PLY, else as GLB."""
+    if any(storey.surface is None for storey in storeys):
+        return "frames"
+    has_frames = any(storey.frames for storey in storeys)
+    if is_ply and not has_frames and all(storey.groups is None for storey in storeys):
+        return "mesh"
+    if any(storey.parts for storey in storeys) or not (has_frames or any(storey.groups for storey in storeys)):
+        return "nodes"
+    return "instances"
 
-    scan: Folder that its frames are read from. is_ply: A bare mesh without textures is written as PLY, else as GLB. to_level: Scan frame to
-    the level of the storey, 4x4 [m], which is stated where the format can.
+
+def write_storey(folder: Path, storey: Reading, scan: Path, layout: StoreyLayout, to_level: Array) -> None:
+    """Write a storey as the folder of a scan, whose name is the scan's.
+
+    storey: Its frames have one lens. scan: Folder that its frames are read from. layout: Of all storeys of the scan. to_level: Scan frame
+    to the level of the storey, 4x4 [m], which is stated where the format can.
 
     Raises:
-        InputError: a frame cannot be read, or there are only frames and they have a lens each.
+        InputError: a frame cannot be read.
     """
-    name, frames, notes = folder.name, storey.frames, []
-    if not _is_of_one_lens(frames):
-        if storey.surface is None:
-            raise InputError(scan.name, "intrinsics", LENSES, "write one for all frames")
-        frames, notes = (), [f"{LENSES}: left out"]
+    name, surface = folder.name, storey.surface
     folder.mkdir(parents=True)
     if storey.license:
         (folder / "LICENSE.txt").write_text(storey.license + "\n")
-    if storey.surface is None:
-        _write_frames(folder, frames, scan)
-    elif is_ply and storey.groups is None and not frames:
-        write_mesh(folder / f"{name}.ply", storey.surface)
-    elif storey.parts or not (storey.groups or frames):
-        parts: Sequence[trimesh.Trimesh] = storey.parts or (storey.surface.to_trimesh(),)
+    if surface is None:
+        _write_frames(folder, storey.frames, scan)
+    elif layout == "mesh":
+        write_mesh(folder / f"{name}.ply", surface)
+    elif layout == "nodes":
+        parts: Sequence[trimesh.Trimesh] = storey.parts or (surface.to_trimesh(),)
         names = [str(part.metadata["name"]) for part in parts] if storey.parts else ["scan_0"]
         (folder / f"{name}.glb").write_bytes(dump_glb(parts, names))
     else:
-        write_mesh(folder / f"{name}_vh_clean_2.ply", storey.surface)
+        write_mesh(folder / f"{name}_vh_clean_2.ply", surface)
         (folder / f"{name}.txt").write_text(_metadata(storey, to_level))
         if storey.groups is not None:
-            _write_instances(folder, name, storey.groups, len(storey.surface.vertices))
-        if frames:
-            _write_frames(folder, frames, scan)
-    return notes
+            _write_instances(folder, name, storey.groups, len(surface.vertices))
+        if storey.frames:
+            _write_frames(folder, storey.frames, scan)
 
 
-def _is_of_one_lens(frames: Sequence[FrameSource]) -> bool:
+def is_of_one_lens(frames: Sequence[FrameSource]) -> bool:
+    """Whether the folder of a storey can state the lens of its frames, which is one for all."""
     lenses = np.array([[*frame.intrinsics, *frame.depth_intrinsics] for frame in frames])
     return not len(frames) or float(np.ptp(lenses, axis=0).max()) <= _LENS_PX
 

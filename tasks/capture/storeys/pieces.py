@@ -148,6 +148,9 @@ def _cut_parts(reading: Reading, target: Integers, pose: Array, levels: Levels) 
 
 
 def _of_parts(reading: Reading, parts: Sequence[trimesh.Trimesh], owners: Sequence[Integers]) -> Reading:
+    if not parts:
+        nothing = Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 3), dtype=np.uint8))
+        return dataclasses.replace(reading, surface=nothing, parts=(), groups=None if reading.groups is None else ())
     surface, groups = surface_of(parts), None
     if reading.groups is not None:
         named = reading.groups

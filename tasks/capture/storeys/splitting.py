@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from tasks.capture.leveling import aligned, read_with_meanings
 from tasks.capture.poses.provider import with_poses
 from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan
-from tasks.capture.storeys.folder import write_storey
+from tasks.capture.storeys.folder import is_of_one_lens, layout_of, write_storey
 from tasks.capture.storeys.levels import Levels, levels
 from tasks.capture.storeys.pieces import Storey, storeys_of
 from tasks.geometry.transforms import translation
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from tasks.capture.scenes import CaptureConfig
 
 Array = NDArray[np.float64]
+
+LENSES = "its frames have a lens each, which the folder of a storey cannot state"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +61,8 @@ def divided(scan: Scan, config: CaptureConfig) -> Divided:
     """A scan by storeys, as capture with this config would level it.
 
     Raises:
-        InputError: a file of the scan cannot be used, or no frame was taken in a storey of which there are only frames.
+        InputError: a file of the scan cannot be used, nothing is a storey's own, or there are only frames, and they have a lens each or
+            none was taken in a storey.
     """
     reading, meanings, is_modelled = read_with_meanings(scan, label_map(config.label_map))
     reading, notes = with_poses(reading, config.poses, scan.path.name)
@@ -69,24 +73,44 @@ def divided(scan: Scan, config: CaptureConfig) -> Divided:
     pose = aligned(reading, surface, meanings, config.votes, is_authored=is_modelled).pose
     parted = levels(surface.transformed(pose), config.storeys)
     storeys = storeys_of(reading, meanings, pose, parted) if parted.cuts else ()
-    for storey in storeys:
-        if storey.reading.surface is None and not storey.reading.frames:
-            problem = f"no frame was taken in storey {storey.number}, and there is no mesh"
-            raise InputError(scan.path.name, "frames", problem, "scan it from within, or set capture.storeys.min_floor_m2 higher")
     lost = len(reading.frames) - sum(len(storey.reading.frames) for storey in storeys)
     if storeys and lost:
         notes = [*notes, f"{lost} of {len(reading.frames)} frames have no pose and are in no storey"]
-    return Divided(scan, reading, parted, pose, storeys, tuple(notes))
+    storeys, left_out = _writable(storeys, scan.path.name)
+    return Divided(scan, reading, parted, pose, storeys, (*notes, *left_out))
 
 
-def write_divided(folder: Path, scan: Divided) -> list[str]:
-    """Write a scan of each storey into a folder, and say what had to be left out.
+def _writable(storeys: Sequence[Storey], name: str) -> tuple[tuple[Storey, ...], list[str]]:
+    """What can be written of the storeys of a scan, and what had to be left out.
+
+    Raises:
+        InputError: nothing can of one of them.
+    """
+    kept, notes = [], []
+    for storey in storeys:
+        surface, frames = storey.reading.surface, storey.reading.frames
+        where, remedy = f"storey {storey.number}", "or set capture.storeys.min_floor_m2 higher"
+        if surface is None and not frames:
+            raise InputError(name, "frames", f"no frame was taken in {where}, and there is no mesh", f"scan it from within, {remedy}")
+        if surface is not None and not len(surface.faces):
+            problem = f"{where} has none of its own: all that is there is of instances that are mostly in other storeys"
+            raise InputError(name, "instances", problem, f"part them by storeys, {remedy}")
+        if not is_of_one_lens(frames):
+            if surface is None:
+                raise InputError(name, "intrinsics", LENSES, "write one for all frames")
+            storey = dataclasses.replace(storey, reading=dataclasses.replace(storey.reading, frames=()))
+            notes.append(f"{where} is without its {len(frames)} frames: {LENSES}")
+        kept.append(storey)
+    return tuple(kept), notes
+
+
+def write_divided(folder: Path, scan: Divided) -> None:
+    """Write a scan of each storey into a folder.
 
     Raises:
         InputError: a frame cannot be read.
     """
-    notes: list[str] = []
     is_ply = scan.scan.path.suffix.lower() == ".ply" or (scan.scan.path.is_dir() and any(scan.scan.path.glob("*.ply")))
+    layout = layout_of([storey.reading for storey in scan.storeys], is_ply)
     for storey in scan.storeys:
-        notes += write_storey(folder / scan.name(storey), storey.reading, scan.scan.folder, is_ply, scan.to_level(storey))
-    return list(dict.fromkeys(notes))
+        write_storey(folder / scan.name(storey), storey.reading, scan.scan.folder, layout, scan.to_level(storey))

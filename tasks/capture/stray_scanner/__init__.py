@@ -76,7 +76,7 @@ def read_stray_scanner(scan: Scan) -> Reading:
     poses: list[Pose | None] = [rows[number][0] if number in rows else None for number in numbers]
     sources, more = frame_sources(frames, folder, size, depth_size, both, DEPTH_SCALE, poses, {}, reader)
     license = license_of(license_path(folder, scan.premises))
-    return Reading(surface=None, frames=sources, license=license, degradations=(*notes, *more))
+    return Reading(surface=None, frames=sources, license=license, degradations=(*notes, *more), from_file=Y_UP_TO_Z_UP)
 
 
 def _depth(path: Path, confidence: Path | None, folder: Path, size: tuple[int, int]) -> NDArray[np.float32]:

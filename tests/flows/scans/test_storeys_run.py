@@ -1,4 +1,5 @@
-"""A scan of two storeys as a person has it turned into scenes: captured, divided, run, and both floors level at height 0."""
+"""A scan of two storeys as a person has it turned into scenes: captured, divided, run, both floors level at height 0, and neither the
+other's rescan."""
 
 from __future__ import annotations
 
@@ -50,7 +51,8 @@ def test_a_house_of_two_storeys_becomes_two_scenes_with_their_floors_at_zero(hom
     assert made.returncode == 0, made.stderr
     connection = Lake.open(tmp_path / "lake").snapshot().connect()
     scenes = connection.execute("SELECT scene_id, room_id, alignment FROM scenes ORDER BY scene_id").fetchall()
-    assert [row[:2] for row in scenes] == [(f"scannet/scene0000_00_floor{k}", "scannet/scene0000") for k in (0, 1)]
+    assert [row[:2] for row in scenes] == [(f"scannet/scene0000_00_floor{k}", f"scannet/scene0000_floor{k}") for k in (0, 1)]
+    assert connection.execute("SELECT count(*) FROM rescans").fetchone() == (0,)
     lower, upper = (np.array(row[2]).reshape(4, 4) for row in scenes)
     between = lower @ np.linalg.inv(upper)  # the same axes, and the rise that there is between the floors
     assert between == pytest.approx(np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, RISE], [0, 0, 0, 1]]), abs=0.01)

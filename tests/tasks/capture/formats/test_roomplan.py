@@ -11,7 +11,7 @@ import pytest
 from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run
 from tasks.capture.wholeness import find_gap
-from tasks.geometry.transforms import matrix, transform_points, yaw_of, yaw_pose
+from tasks.geometry.transforms import inverse, matrix, transform_points, yaw_of, yaw_pose
 from tasks.geometry.triangles import face_areas
 from tasks.stage import Context
 from tests.capture_scans import OBJECTS, ROOM
@@ -64,6 +64,19 @@ def test_a_wall_lacks_the_door_in_it(tmp_path: Path) -> None:
     walls = [float(areas[group.faces].sum()) for group in reading.groups or () if group.raw_label == "wall"]
     x, y, z = ROOM
     assert walls == pytest.approx([x * z, y * z - DOOR[2] * DOOR[3], x * z, y * z])
+
+
+def test_what_was_turned_is_turned_back_to_the_axes_of_the_file(tmp_path: Path) -> None:
+    write_sample(tmp_path / "home")
+    reading = read(tmp_path)
+    listed = json.loads((tmp_path / "home" / "CapturedRoom.json").read_text())["objects"]
+    assert reading.surface is not None
+    assert reading.from_file is not None
+    vertices = transform_points(reading.surface.vertices, inverse(reading.from_file))
+    named = [group for group in reading.groups or () if group.raw_label in {label for label, _, _ in boxes()}]
+    for group, stated in zip(named, listed, strict=True):
+        own = vertices[group.vertices]
+        np.testing.assert_allclose((own.min(axis=0) + own.max(axis=0)) / 2, np.ravel(stated["transform"])[12:15], atol=1e-5)
 
 
 @pytest.mark.parametrize("change", ["no parent", "nested", "no floors"])
