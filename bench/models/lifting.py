@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -20,8 +21,9 @@ from tasks.capture.small_objects.supports import support_slabs
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-Method = Literal["classical", "true masks", "corrupted masks", "stand-ins"]
-"""`stand-ins`: the chain of networks, with some in their place that know the truth and blur it, see `bench.models.standins`."""
+Method = Literal["classical", "true masks", "corrupted masks", "stand-ins", "trained"]
+"""`stand-ins`: the chain of networks, with some in their place that know the truth and blur it, see `bench.models.standins`. `trained`: see
+`bench.models.trained`."""
 
 LEAST_IOU = 0.5
 """Overlap in points from which on an instance is an object."""
@@ -73,25 +75,31 @@ def measured(
         for touching in (False, True):
             made = [tabletop(word, touching, first_seed + seed) for seed in range(scenes)]
             for method in methods:
-                objects = instances = matched = 0
-                seconds = 0.0
-                for seed, scene in enumerate(made):
-                    started = time.perf_counter()
-                    clouds = instances_of(scene, method, np.random.default_rng([first_seed + seed, 7]), classical)
-                    seconds += time.perf_counter() - started
-                    overlap = overlaps(scene, [instance.points for instance in clouds.instances])
-                    pairs, counted = matched_pairs(overlap), set(scene.counted)
-                    right = sum(obj in counted for obj, _ in pairs)
-                    # what frames hardly show need not be found, and is no error either
-                    spare = {
-                        i
-                        for i in range(len(clouds.instances))
-                        if len(overlap) and int(overlap[:, i].argmax()) not in counted and overlap[:, i].any()
-                    }
-                    objects, instances = objects + len(counted), instances + len(clouds.instances) - len(spare)
-                    matched += right
-                figures.append(LiftingFigures(word, touching, method, scenes, objects, instances, matched, seconds))
+                rngs = [np.random.default_rng([first_seed + seed, 7]) for seed in range(scenes)]
+                finders = [partial(instances_of, method=method, rng=rng, classical=classical) for rng in rngs]
+                figures.append(lifting_figures(word, touching, method, made, finders))
     return figures
+
+
+def lifting_figures(
+    word: SupportWord, touching: bool, method: Method, made: Sequence[Tabletop], finders: Sequence[Callable[[Tabletop], Found]]
+) -> LiftingFigures:
+    """Figures of scenes, each with who finds what is in it."""
+    objects = instances = matched = 0
+    seconds = 0.0
+    for scene, finder in zip(made, finders, strict=True):
+        started = time.perf_counter()
+        clouds = finder(scene)
+        seconds += time.perf_counter() - started
+        overlap = overlaps(scene, [instance.points for instance in clouds.instances])
+        pairs, counted = matched_pairs(overlap), set(scene.counted)
+        # what frames hardly show need not be found, and is no error either
+        spare = {
+            i for i in range(len(clouds.instances)) if len(overlap) and int(overlap[:, i].argmax()) not in counted and overlap[:, i].any()
+        }
+        objects, instances = objects + len(counted), instances + len(clouds.instances) - len(spare)
+        matched += sum(obj in counted for obj, _ in pairs)
+    return LiftingFigures(word, touching, method, len(made), objects, instances, matched, seconds)
 
 
 def instances_of(scene: Tabletop, method: Method, rng: np.random.Generator, classical: ClassicalConfig | None = None) -> Found:

@@ -20,14 +20,20 @@ from bench.models.replies import reply_report
 from bench.models.retrieval import MODELS, RetrievalFigures, RetrievalShares, lacking
 from bench.models.retrieval import measured as retrieved
 from bench.models.texturing import TexturingBench, run_texturing_bench, steps_of
+from bench.models.trained.checkpoints import checkpoints
+from bench.models.trained.comparison import trained_report
 from bench.models.withheld import WithheldFigures, withheld_figures
 from schemas.errors import InputError
 
 REPLIES, LIFTING, WITHHELD, TEXTURES, RETRIEVAL, DEVICES = "replies", "lifting", "withheld", "textures", "retrieval", "devices"
+TRAINED = "trained"
 
-PARTS = (REPLIES, LIFTING, WITHHELD, TEXTURES, RETRIEVAL, DEVICES)
-"""What can be measured: what is read of corrupted replies, small objects on desks and shelves, and those of whole rooms that are not
-named, layouts and baked textures, scanned models looked up in a library, and networks that see on the devices that there are."""
+USUAL = (REPLIES, LIFTING, WITHHELD, TEXTURES, RETRIEVAL, DEVICES)
+"""What is measured where nobody says: what is read of corrupted replies, small objects on desks and shelves, and those of whole rooms that
+are not named, layouts and baked textures, scanned models looked up in a library, and networks that see on the devices that there are."""
+
+PARTS = (*USUAL, TRAINED)
+"""What can be measured: also a small network that parts small objects, which is trained first."""
 
 CORRUPTIONS = 200
 """Of a reply, for each of what is asked."""
@@ -55,7 +61,7 @@ class ModelsBench:
     seed: int = 0
     realdata: Path | None = None
     blender: str = ""
-    parts: tuple[str, ...] = PARTS
+    parts: tuple[str, ...] = USUAL
 
     @property
     def texturing(self) -> TexturingBench:
@@ -78,8 +84,9 @@ def run_models_bench(config: ModelsBench, advance: Callable[[str], None]) -> dic
     why = lacking(config.realdata) if RETRIEVAL in config.parts else None
     if why is not None:
         raise InputError("bench models", "--realdata", why, "or leave `retrieval` out of --parts")
-    if DEVICES in config.parts and (why := networks_lacking()) is not None:
-        raise InputError("bench models", DEVICES, why, "pip install 'metascenes[encoders]', or leave `devices` out of --parts")
+    for part in (DEVICES, TRAINED):
+        if part in config.parts and (why := networks_lacking()) is not None:
+            raise InputError("bench models", part, why, f"pip install 'metascenes[encoders]', or leave `{part}` out of --parts")
     parts: dict[str, Any] = {}
     if REPLIES in config.parts:
         parts[REPLIES] = reply_report(CORRUPTIONS, config.seed)
@@ -89,7 +96,7 @@ def run_models_bench(config: ModelsBench, advance: Callable[[str], None]) -> dic
         parts[LIFTING] = {"rows": [lifting_row(each) for each in figures], "goals": lifting_goals(figures)}
         advance(LIFTING)
     if WITHHELD in config.parts:
-        rooms = withheld_figures(max(1, round(ROOM_SHARE * config.scenes)), config.seed)
+        rooms = withheld_figures(rooms_of(config.scenes), config.seed)
         parts[WITHHELD] = {"rows": [dataclasses.asdict(rooms)], "goals": withheld_goals(rooms)}
         advance(WITHHELD)
     if TEXTURES in config.parts:
@@ -101,7 +108,15 @@ def run_models_bench(config: ModelsBench, advance: Callable[[str], None]) -> dic
     if DEVICES in config.parts:
         parts[DEVICES] = device_report()
         advance(DEVICES)
+    if TRAINED in config.parts:
+        parts[TRAINED] = trained_report(config.scenes, rooms_of(config.scenes), config.seed, config.realdata, checkpoints())
+        advance(TRAINED)
     return {"machine": machine(), "seed": config.seed, "parts": parts, "goals": [row for part in parts.values() for row in part["goals"]]}
+
+
+def rooms_of(scenes: int) -> int:
+    """Rooms that are scanned beside so many desks and shelves of each kind."""
+    return max(1, round(ROOM_SHARE * scenes))
 
 
 def lifting_row(figures: LiftingFigures) -> dict[str, Any]:

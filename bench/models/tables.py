@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bench.models.report import DEVICES, LIFTING, REPLIES, RETRIEVAL, TEXTURES, WITHHELD
+from bench.models.report import DEVICES, LIFTING, REPLIES, RETRIEVAL, TEXTURES, TRAINED, WITHHELD
 from bench.models.texturing import print_texturing
 from bench.tables import add_row, goals_table, headline, table_of
 
@@ -37,6 +37,8 @@ def print_models(report: Mapping[str, Any], console: Console) -> None:
         _print_retrieval(parts[RETRIEVAL]["rows"], console)
     if DEVICES in parts:
         _print_devices(parts[DEVICES], console)
+    if TRAINED in parts:
+        _print_trained(parts[TRAINED], console)
     console.print(goals_table(report["goals"]))
 
 
@@ -80,3 +82,30 @@ def _print_devices(part: Mapping[str, Any], console: Console) -> None:
         off = (f"{row['boxes_px']:.1e} px", f"{row['scores']:.1e}", f"{row['masks']:.1e}")
         add_row(table, row["provider"], f"{row['weights_mb']:,.0f} MB", row["against"], *off, speed, memory)
     console.print(table)
+
+
+def _print_trained(part: Mapping[str, Any], console: Console) -> None:
+    training = part["training"]
+    console.print(
+        f"a network of {training['parameters']:,} parameters, {training['steps']:,} steps on {training['frames']:,} frames in "
+        f"{training['seconds']:,.0f} s"
+    )
+    columns = ("frames", "objects", "masks", "precision", "recall", "F1", "F1 at 0.75", "named", "seconds")
+    table = table_of("masks of frames at pixel IoU 0.5", ("of", False), ("by", False), *((text, True) for text in columns))
+    for row in part["frames"]:
+        counts = [str(row[name]) for name in ("frames", "objects", "masks")]
+        shares = [f"{row[name]:.3f}" for name in ("precision", "recall", "f1", "f1_exact", "named")]
+        add_row(table, row["frames of"], row["member"], *counts, *shares, f"{row['seconds']:.2f}")
+    console.print(table)
+    table = table_of("F1 of the network less that of the better classical one", ("of", False), ("lead", True), ("of 95 %", True))
+    for row in part["leads"]:
+        add_row(table, row["frames of"], f"{row['lead']:+.3f}", f"{row['low']:+.3f} to {row['high']:+.3f}")
+    console.print(table)
+    _print_lifting([{**row, **_shares_of(row)} for row in part["lifting"]], console)
+    for row in part["rooms"]:
+        console.print(f"rooms whose small objects have no name, by {row['member']}:")
+        _print_withheld([row], console)
+
+
+def _shares_of(row: Mapping[str, Any]) -> dict[str, float]:
+    return {"precision": row["matched"] / max(row["instances"], 1), "recall": row["matched"] / max(row["objects"], 1)}

@@ -7,8 +7,9 @@ import dataclasses
 import json
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,11 @@ from numpy.typing import NDArray
 from schemas.capture import Instance
 from tasks import capture
 from tasks.capture.scan import Scan
+from tasks.capture.small_objects import additions
 from tasks.capture.small_objects.additions import SmallObjectsConfig, Unsought
-from tasks.capture.small_objects.classical import PROVIDER
-from tasks.capture.small_objects.supports import support_kind
+from tasks.capture.small_objects.classical import PROVIDER, ClassicalConfig, Found, found_objects
+from tasks.capture.small_objects.lifting import DepthView
+from tasks.capture.small_objects.supports import SupportSlab, support_kind
 from tasks.furniture.rooms import furnish
 from tasks.geometry.meshes import read_points
 from tasks.geometry.transforms import inverse, matrix, transform_points
@@ -26,6 +29,9 @@ from tasks.scanner import ScannerConfig, ScanTruth, TrueObject, scan_scene
 from tasks.stage import Context, Outcome
 
 Array = NDArray[np.float64]
+
+Finder = Callable[[Sequence[DepthView], Sequence[SupportSlab], ClassicalConfig], Found]
+"""Who finds what stands on a support's boards in frames, as `found_objects` does."""
 
 ROOM_TYPES = ("office", "living room", "bedroom", "kitchen")
 
@@ -56,9 +62,10 @@ class WithheldFigures:
     without: float
 
 
-def withheld_figures(rooms: int, first_seed: int) -> WithheldFigures:
-    """What capture finds in generated rooms."""
-    figures = [_room(first_seed, number) for number in range(rooms)]
+def withheld_figures(rooms: int, first_seed: int, finder: Finder = found_objects) -> WithheldFigures:
+    """What capture finds in generated rooms. finder: Stands in the place of the classical member's search on a support."""
+    with mock.patch.object(additions, "found_objects", finder):
+        figures = [_room(first_seed, number) for number in range(rooms)]
     return WithheldFigures(rooms, *(sum(each) for each in zip(*figures, strict=True)))
 
 

@@ -101,7 +101,14 @@ class ClassicalConfig(Config):
 
 def found_objects(views: Sequence[DepthView], slabs: Sequence[SupportSlab], config: ClassicalConfig) -> Found:
     """What stands on the boards of a support, found in posed depth frames."""
-    frames = lifted(views, [found_masks(view, slabs, config) for view in views], config.lifting)
+    return found_in_masks(views, [found_masks(view, slabs, config) for view in views], slabs, config)
+
+
+def found_in_masks(
+    views: Sequence[DepthView], seen: Sequence[FrameMasks], slabs: Sequence[SupportSlab], config: ClassicalConfig
+) -> Found:  # fmt: skip
+    """What masks that end where objects do have on the boards of a support: instances that views agree on, but for boards and walls."""
+    frames = lifted(views, seen, config.lifting)
     instances = list(associate(frames, config.consensus).instances)
     for slab in slabs:
         instances = [each for each in _settled(frames, instances, slab, config) if not _is_board_or_wall(each, slab, config)]
@@ -110,7 +117,7 @@ def found_objects(views: Sequence[DepthView], slabs: Sequence[SupportSlab], conf
 
 def found_masks(view: DepthView, slabs: Sequence[SupportSlab], config: ClassicalConfig) -> FrameMasks:
     """Masks of what stands on boards in one frame, without names."""
-    depth = _filled(view.depth, config.patches.gap_m)
+    depth = filled_depth(view.depth, config.patches.gap_m)
     whole = dataclasses.replace(view, depth=depth)
     world = whole.points()
     valid = (depth > config.lifting.nearest_m) & (depth <= config.lifting.farthest_m)
@@ -119,8 +126,8 @@ def found_masks(view: DepthView, slabs: Sequence[SupportSlab], config: Classical
     return FrameMasks(np.array(masks, dtype=bool).reshape(len(masks), *view.depth.shape), ("",) * len(masks), scores)
 
 
-def _filled(depth: NDArray[np.float32], gap: float) -> NDArray[np.float32]:
-    """Depth with single missing pixels filled where two neighbors on opposite sides are of one surface: thin things have many such."""
+def filled_depth(depth: NDArray[np.float32], gap: float = PatchConfig.gap_m) -> NDArray[np.float32]:
+    """Depth with single missing pixels filled where two neighbors on opposite sides are of one surface [m]: thin things have many such."""
     padded = np.pad(depth, 1)
     height, width = depth.shape
     filled = depth.copy()
@@ -170,7 +177,7 @@ def _in_window(view: DepthView, world: Array, inside: Bools, eye: Array, slab: S
     noise = depth_noise(view.depth) * np.abs(ray @ slab.pose[:3, 2])
     over = inside & (slab.inset(local) >= 0)
     near = over & (np.abs(local[..., 2]) <= BELOW_M)
-    plane = _board_plane(local[near], noise[near], config)
+    plane = board_plane(local[near], noise[near], config)
     least = config.least_height_m if plane is not None else config.unsure_height_m
     plane = np.zeros(3) if plane is None else plane
     height = local[..., 2] - local[..., :2] @ plane[:2] - plane[2]
@@ -259,7 +266,7 @@ def _one(frames: list[LiftedFrame], parts: list[ConsensusInstance]) -> Consensus
     return instance_of(frames, points, colors, dict(sorted(masks.items())))
 
 
-def _board_plane(local: Array, noise: Array, config: ClassicalConfig) -> Array | None:
+def board_plane(local: Array, noise: Array, config: ClassicalConfig) -> Array | None:
     """The board's surface in a frame as z = a x + b y + c: (a, b, c), shape (3,); None where too little of it is seen.
 
     local: Points near the board in its frame [m], shape (n, 3). noise: Of their heights [m], shape (n,).
