@@ -77,13 +77,17 @@ def test_no_more_hold_a_slot_at_once_than_there_are(server: PrefectServer) -> No
     make("two", 2)
     assert check_limits({"candidates": "two"}) == {"candidates": Limit("two", 2)}
     lock, now, most, done = threading.Lock(), [0], [0], []
+    two = threading.Event()
 
     def work(number: int) -> None:
         with limited("candidates", {"candidates": "two"}):
             with lock:
                 now[0] += 1
                 most[0] = max(most[0], now[0])
-            time.sleep(0.2)
+                if now[0] == 2:
+                    two.set()
+            two.wait(120)  # for another one, however busy the machine is
+            time.sleep(0.2)  # in which a third would come
             with lock:
                 now[0] -= 1
                 done.append(number)
