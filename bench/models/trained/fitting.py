@@ -41,7 +41,7 @@ class TrainedConfig(Config):
     scenes: Count = 220  # each another support with other things: more scenes are worth more than more views of them
     views: Count = 4  # of a scene
     crops: Count = 4  # of a step: norms of batches need some
-    steps: Count = 5000  # half an hour of a core; each crop has noise of its own
+    steps: Count = 5000  # 45 minutes beside other jobs; each crop has noise of its own
     seed: Count = FIRST_SEED  # of the first scene; what is measured has lower ones
 
 
