@@ -66,6 +66,7 @@ class Reading:
     alignment: Scan frame to an aligned frame, 4x4 [m], where the scan states one.
     glb: The scan's own file where it is a GLB, which can be kept as it is when nothing moves.
     materials: Which of its textures each face of `surface` has, shape (m,) int64, where the scan names no instances and has several.
+    is_modelled: Of formats that state surfaces or boxes alone: whether it is boxes, which somebody drew; see `ScanFormat`.
     is_dense: Vertices lie as densely as a depth sensor leaves them, so that they can stand for the surface.
     """
 
@@ -76,6 +77,7 @@ class Reading:
     alignment: NDArray[np.float64] | None = None
     room_type: str = ""
     license: str | None = None
+    is_modelled: bool = False
     is_dense: bool = True
     degradations: tuple[str, ...] = ()
     glb: bytes | None = None
