@@ -127,9 +127,7 @@ def _owner(document: dict[str, Any], name: str, count: int, listed: list[Annotat
     return owner, notes
 
 
-def _without_removed(
-    surface: Surface, owner: NDArray[np.int64], listed: list[AnnotatedObject]
-) -> tuple[Surface, NDArray[np.int64]]:
+def _without_removed(surface: Surface, owner: NDArray[np.int64], listed: list[AnnotatedObject]) -> tuple[Surface, NDArray[np.int64]]:
     """The mesh without the faces that are marked to be removed, and without the vertices that only these have; it keeps one face."""
     is_removed = np.array([*(entry.is_removed for entry in listed), False])[owner]  # -1, for nobody's, is the last
     if not is_removed.any() or is_removed.all():
@@ -140,9 +138,7 @@ def _without_removed(
     return Surface(surface.vertices[kept], faces, surface.colors[kept]), owner[~is_removed]
 
 
-def _groups(
-    listed: list[AnnotatedObject], owner: NDArray[np.int64], surface: Surface, file: str
-) -> tuple[tuple[Group, ...], list[str]]:
+def _groups(listed: list[AnnotatedObject], owner: NDArray[np.int64], surface: Surface, file: str) -> tuple[tuple[Group, ...], list[str]]:
     objects = [(index, entry) for index, entry in enumerate(listed) if not entry.is_removed]
     dense = np.full(len(listed) + 1, -1, dtype=np.int64)
     dense[[index for index, _ in objects]] = np.arange(len(objects))

@@ -61,7 +61,12 @@ def with_poses(reading: Reading, config: PosesConfig, name: str) -> tuple[Readin
     if isinstance(provider, GivenPoses):
         if not is_posed:
             lost = [note for note in reading.degradations if "without a pose" in note and "(missing)" not in note]
-            raise InputError(name, "poses", f"none can be used ({'; '.join(lost)})" if lost else "there are none", f"{_WRITE}; or have them found: {_FIND}")
+            raise InputError(
+                name,
+                "poses",
+                f"none can be used ({'; '.join(lost)})" if lost else "there are none",
+                f"{_WRITE}; or have them found: {_FIND}",
+            )
         return reading, [] if fits else [f"poses: {misfit}; refine them: {_FIND}"]
     missing = sum(reading.frames[i].pose is None for i in usable)
     if is_posed and fits and not missing and not provider.always:

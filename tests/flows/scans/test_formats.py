@@ -58,9 +58,7 @@ def test_a_scan_of_each_kind_becomes_usd(command: Callable[..., str], tmp_path: 
 
 
 @pytest.mark.whole
-def test_a_real_annotation_without_a_mesh_becomes_usd(
-    command: Callable[..., str], realdata: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_a_real_annotation_without_a_mesh_becomes_usd(command: Callable[..., str], realdata: Callable[[str], Path], tmp_path: Path) -> None:
     """The annotation of a real storeroom of MultiScan: boxes in, a scene that passes its gate out, with all its furniture placed."""
     sample, lake = realdata("multiscan_sample"), tmp_path / "lake"
     made = command("run", "--scans", sample, "--lake", lake, "--workers", 1, *QUICK, "--set", 'exports.formats=["usd"]')

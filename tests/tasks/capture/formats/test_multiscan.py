@@ -318,6 +318,4 @@ def test_two_annotations_in_a_folder_are_refused(tmp_path: Path) -> None:
     (folder / "scene_00007_02.annotations.json").write_text("{}")
     scans, errors = find_scans(tmp_path)
     assert scans == []
-    assert [str(error) for error in errors] == [
-        f"{SCAN}: folder: holds 2 annotations, one is expected; give every scan its own folder"
-    ]
+    assert [str(error) for error in errors] == [f"{SCAN}: folder: holds 2 annotations, one is expected; give every scan its own folder"]

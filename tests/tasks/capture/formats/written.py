@@ -251,7 +251,9 @@ def numbered_ply(surface: Surface, numbers: NDArray[np.int64]) -> bytes:
     header = f"ply\nformat binary_little_endian 1.0\ncomment VCGLIB generated\nelement vertex {len(vertex)}\n"
     header += "".join(f"property double {axis}\n" for axis in ("x", "y", "z", "nx", "ny", "nz"))
     header += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue", "alpha"))
-    header += f"element face {len(face)}\nproperty list uchar int vertex_indices\nproperty ushort objectId\nproperty ushort partId\nend_header\n"
+    header += (
+        f"element face {len(face)}\nproperty list uchar int vertex_indices\nproperty ushort objectId\nproperty ushort partId\nend_header\n"
+    )
     return header.encode() + vertex.tobytes() + face.tobytes()
 
 
