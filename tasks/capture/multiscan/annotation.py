@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.files.documents import json_floats, plain_text
-from tasks.capture.rooms.alignment import rotation_to_z
 from tasks.capture.roomplan.elements import LARGEST_M, RoomElement
+from tasks.capture.rooms.alignment import rotation_to_z
 from tasks.geometry.transforms import is_rigid, nearest_rigid
 
 Array = NDArray[np.float64]

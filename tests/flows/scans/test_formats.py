@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.tasks.capture.formats import test_multiscan, test_roomplan, test_scannetpp
+from tests.tasks.capture.formats import test_roomplan, test_scannetpp
 from tests.test_pipeline import QUICK
 
 SAMPLES: dict[str, Callable[[Path], None]] = {"scannetpp": test_scannetpp.write_sample, "roomplan": test_roomplan.write_sample}

@@ -211,7 +211,8 @@ def annotated_object(name: str, pose: Array, size: Array, **more: object) -> dic
     low, high = (pose[:3, 3] + sign * 0.5 * np.abs(pose[:3, :3]) @ size for sign in (-1, 1))
     box = {
         "centroid": pose[:3, 3].tolist(), "axesLengths": [float(size[0]), float(size[2]), float(size[1])],
-        "normalizedAxes": axes.ravel().tolist(), "min": low.tolist(), "max": high.tolist(), "front": axes[2].tolist(), "up": axes[1].tolist(),
+        "normalizedAxes": axes.ravel().tolist(), "min": low.tolist(), "max": high.tolist(),
+        "front": axes[2].tolist(), "up": axes[1].tolist(),
     }  # fmt: skip
     return {"label": name, "obb": box, **more}
 
