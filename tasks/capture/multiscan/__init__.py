@@ -144,8 +144,8 @@ def _groups(listed: list[AnnotatedObject], owner: NDArray[np.int64], surface: Su
     dense[[index for index, _ in objects]] = np.arange(len(objects))
     groups = groups_of_faces([(entry.source_id, entry.label) for _, entry in objects], dense[owner], surface)
     fields = {entry.source_id: entry.field for _, entry in objects}
-    found = {group.source_id for group in groups}
-    notes = [f"{entry.field} ({entry.name}): has no face of the mesh, left out" for _, entry in objects if entry.source_id not in found]
+    shown = {group.source_id for group in groups}
+    notes = [f"{entry.field} ({entry.name}): has no face of the mesh, left out" for _, entry in objects if entry.source_id not in shown]
     own = [Group(g.source_id, g.raw_label, g.vertices, g.faces, f"{file}: {fields[g.source_id]}.label") for g in groups]
     return tuple(own), notes
 
