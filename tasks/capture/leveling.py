@@ -49,7 +49,7 @@ def read_with_meanings(scan: Scan, labels: LabelMap) -> tuple[Reading, list[Labe
     format, reading = format_of(scan), read_scan(scan)
     meanings = [_meaning(group, labels, format.is_modelled) for group in reading.groups or ()]
     bare = format.bare(scan, reading, meanings) if format.bare is not None else None
-    return (reading, meanings, format.is_modelled) if bare is None else (bare, [], False)
+    return (reading, meanings, format.is_modelled or reading.is_modelled) if bare is None else (bare, [], False)
 
 
 def _meaning(group: Group, labels: LabelMap, is_node: bool) -> Label:

@@ -67,6 +67,7 @@ class Reading:
     glb: The scan's own file where it is a GLB, which can be kept as it is when nothing moves.
     from_file: The file's own units and axes to the scan frame, 4x4, where the reader changed them.
     materials: Which of its textures each face of `surface` has, shape (m,) int64, where the scan names no instances and has several.
+    is_modelled: Of formats that state surfaces or boxes alone: whether it is boxes, which somebody drew; see `ScanFormat`.
     is_dense: Vertices lie as densely as a depth sensor leaves them, so that they can stand for the surface.
     """
 
@@ -77,6 +78,7 @@ class Reading:
     alignment: NDArray[np.float64] | None = None
     room_type: str = ""
     license: str | None = None
+    is_modelled: bool = False
     is_dense: bool = True
     degradations: tuple[str, ...] = ()
     glb: bytes | None = None

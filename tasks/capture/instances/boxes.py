@@ -22,6 +22,9 @@ _AXIS_SLACK = 1.05
 """A box along the room's axes is preferred while its plan is at most this much larger than the smallest one: noise alone
 makes the smallest box of a round or partly seen object lean by any angle."""
 
+_EXACT_SLACK = 1.0001
+"""The same of exact points whose outline is a rectangle: it is the box, up to what leans by less than a tenth of a millimetre."""
+
 
 def oriented_box(points: Array, is_noisy: bool = True, yaw: float | None = None) -> tuple[Array, Array]:
     """Pose (4x4, rotation about +Z, origin at the center [m]) and extents along its own axes [m], shape (3,).
@@ -32,7 +35,7 @@ def oriented_box(points: Array, is_noisy: bool = True, yaw: float | None = None)
     kept = without_stray_points(points) if is_noisy else points
     trim = _TRIM_SHARE if is_noisy and len(kept) > 300 else 0.0
     bottom, top = _range(kept[:, 2], trim)
-    yaw = _yaw_of_least_area(kept[:, :2]) if yaw is None else yaw
+    yaw = _yaw_of_least_area(kept[:, :2], is_noisy) if yaw is None else yaw
     axes = yaw_pose(yaw)[:2, :2]
     plan = kept[:, :2] @ axes
     (x0, x1), (y0, y1) = _range(plan[:, 0], trim), _range(plan[:, 1], trim)
@@ -76,7 +79,7 @@ def clumps(points: Array, gap: float) -> tuple[NDArray[np.int64], NDArray[np.int
 _HALF_NEIGHBORS = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)]
 
 
-def _yaw_of_least_area(plan: Array) -> float:
+def _yaw_of_least_area(plan: Array, is_noisy: bool) -> float:
     """Turn [rad], in (-pi/4, pi/4], of the smallest rectangle around points, shape (n, 2): one side lies on their hull."""
     hull = _hull(plan)
     if len(hull) < 3:
@@ -92,9 +95,16 @@ def _yaw_of_least_area(plan: Array) -> float:
     area = np.ptp(u, axis=0) * np.ptp(v, axis=0)
     best = int(np.argmin(area))
     upright = int(np.argmin(np.abs(angles)))
-    if area[upright] <= _AXIS_SLACK * area[best]:
+    is_rectangle = not is_noisy and area[best] <= _EXACT_SLACK * _area(hull)
+    if area[upright] <= (_EXACT_SLACK if is_rectangle else _AXIS_SLACK) * area[best]:
         return 0.0
     return _folded(float(angles[best]))
+
+
+def _area(hull: Array) -> float:
+    """Area of a polygon [m2] by its corners in order, shape (n, 2)."""
+    x, y = (hull - hull[0]).T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _hull(plan: Array) -> Array:

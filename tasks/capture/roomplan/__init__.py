@@ -14,13 +14,11 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.files.documents import license_of, name_of, read_json
-from tasks.capture.files.ply import check_vertices
 from tasks.capture.premises import Premises
-from tasks.capture.reading import Group, Reading
+from tasks.capture.reading import Reading
 from tasks.capture.roomplan.elements import elements_of
-from tasks.capture.roomplan.surfaces import box_part, floor_part, floor_within, panel_part, wall_part
+from tasks.capture.roomplan.surfaces import ElementPart, assembled, box_part, floor_part, floor_within, panel_part, wall_part
 from tasks.capture.scan import Scan, ScanFormat, license_path, own_file
-from tasks.geometry.meshes import surface_of
 from tasks.geometry.transforms import Y_UP_TO_Z_UP
 
 _NAMED = re.compile(r"(captured|roomplan).*\.json", re.IGNORECASE)
@@ -34,8 +32,6 @@ def read_roomplan(scan: Scan) -> Reading:
     Raises:
         InputError: the file is no captured room, or has no wall.
     """
-    import numpy as np
-
     folder = scan.path
     path = own_file(scan, _document(folder).name)
     name = name_of(path, folder)
@@ -61,28 +57,17 @@ def read_roomplan(scan: Scan) -> Reading:
     parts += [box_part(element) for element in listed["objects"]]
     labels += [element.category for element in listed["objects"]]
     origins += [element.field for element in listed["objects"]]
-    groups, vertices, faces = [], 0, 0
-    for number, (part, label, origin) in enumerate(zip(parts, labels, origins, strict=True)):
-        if not len(part.faces):
-            notes.append(f"{origin}: has no area, left out")
-            continue
-        own = (np.arange(vertices, vertices + len(part.vertices)), np.arange(faces, faces + len(part.faces)))
-        vertices, faces = vertices + len(part.vertices), faces + len(part.faces)
-        part.metadata["name"] = f"{label} {number}"
-        groups.append(Group(f"{label} {number}", label, *own, origin=f"{path.name}: {origin}.category"))
-    parts = [part for part in parts if len(part.faces)]
-    if not parts:
-        raise InputError(name, "walls", "no element has an area", "scan the room again")
-    surface = surface_of(parts)
-    check_vertices(surface.vertices, name)
+    named = enumerate(zip(parts, labels, origins, strict=True))
+    elements = [ElementPart(f"{label} {k}", label, field, f"{path.name}: {field}.category", part) for k, (part, label, field) in named]
+    whole = assembled(elements, name, "walls")
     return Reading(
-        surface=surface,
-        parts=tuple(parts),
-        groups=tuple(groups),
+        surface=whole.surface,
+        parts=whole.parts,
+        groups=whole.groups,
         room_type=_room_type(document.get("sections")),
         license=license_of(license_path(folder, scan.premises)),
         is_dense=False,
-        degradations=tuple(notes),
+        degradations=(*notes, *whole.notes),
         from_file=Y_UP_TO_Z_UP,
     )
 

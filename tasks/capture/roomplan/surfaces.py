@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.errors import InputError
+from tasks.capture.files.ply import check_vertices
+from tasks.capture.reading import Group
 from tasks.capture.roomplan.elements import RoomElement
+from tasks.geometry.meshes import Surface, surface_of
 from tasks.geometry.transforms import inverse, transform_points
 
 if TYPE_CHECKING:
@@ -28,6 +33,53 @@ BESIDE_M = 0.3
 
 GRAY, FLOOR_GRAY, OBJECT_GRAY = (225, 222, 215), (170, 150, 130), (190, 190, 190)
 """The file states no colors: those of plaster, wood and nothing in particular."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ElementPart:
+    """The surface of an element, and what instance it is. field: Where the element stands in the file. origin: Where its label does."""
+
+    source_id: str
+    label: str
+    field: str
+    origin: str
+    part: trimesh.Trimesh
+
+
+@dataclasses.dataclass(frozen=True)
+class Assembly:
+    """Surfaces of elements as one. parts: Those that have an area, in the order of the faces of `surface`, a group for each."""
+
+    surface: Surface
+    parts: tuple[trimesh.Trimesh, ...]
+    groups: tuple[Group, ...]
+    notes: tuple[str, ...]
+
+
+def assembled(elements: Sequence[ElementPart], name: str, list_of: str) -> Assembly:
+    """Elements as one surface with an instance for each; those without an area are left out, with a note.
+
+    name, list_of: File and field that an error names where none has an area.
+
+    Raises:
+        InputError: none has an area, or they are larger than a scan.
+    """
+    groups: list[Group] = []
+    vertices, faces = 0, 0
+    kept = [element for element in elements if len(element.part.faces)]
+    if not kept:
+        raise InputError(name, list_of, "no element has an area", "scan the room again")
+    for element in kept:
+        part = element.part
+        own = (np.arange(vertices, vertices + len(part.vertices)), np.arange(faces, faces + len(part.faces)))
+        vertices, faces = vertices + len(part.vertices), faces + len(part.faces)
+        part.metadata["name"] = element.source_id
+        groups.append(Group(element.source_id, element.label, *own, origin=element.origin))
+    parts = tuple(element.part for element in kept)
+    surface = surface_of(parts)
+    check_vertices(surface.vertices, name)
+    notes = tuple(f"{element.field}: has no area, left out" for element in elements if not len(element.part.faces))
+    return Assembly(surface, parts, tuple(groups), notes)
 
 
 def wall_part(wall: RoomElement, holes: Sequence[RoomElement]) -> trimesh.Trimesh:

@@ -31,6 +31,7 @@ from tests.tasks.capture.formats.written import (
     read,
     write_arkitscenes,
     write_matterport3d,
+    write_multiscan,
     write_replica_v1,
     write_scannetpp,
     write_threerscan,
@@ -133,6 +134,19 @@ def test_labelled_faces_make_the_instances_of_the_native_format(
         apart = np.linalg.norm(matrix(one.box_pose)[:3, 3] - matrix(other.box_pose)[:3, 3])
         assert iou(one, other) > 0.85 or (is_as_small and apart < 0.3), (one.category, one.box_size, other.box_size)
         assert abs(one.point_count - other.point_count) <= 0.02 * other.point_count
+
+
+@pytest.mark.whole
+def test_labelled_faces_make_the_same_rows_however_they_are_written(bare: Path, tmp_path: Path) -> None:
+    """Numbers of faces, lists of faces, and segments of faces: every instance, box and blob is the same."""
+    write_matterport3d(tmp_path / "segments" / "room", read(bare))
+    other = captured(tmp_path / "segments")
+    for is_labelled in (True, False):
+        write_multiscan(tmp_path / f"numbers {is_labelled}" / "room", read(bare), is_labelled)
+        mine = captured(tmp_path / f"numbers {is_labelled}")
+        assert instances(mine) == instances(other)
+        assert mine.rows["shells"] == other.rows["shells"]
+        assert mine.rows["surfaces"] == other.rows["surfaces"]
 
 
 def iou(one: Instance, other: Instance) -> float:

@@ -205,6 +205,66 @@ def write_threerscan(folder: Path, reading: Reading, is_labelled: bool = True) -
     return put(folder, files)
 
 
+def annotated_object(name: str, pose: Array, size: Array, **more: object) -> dict[str, object]:
+    """An object as MultiScan lists it. pose: Of its box in the scan frame, 4x4 [m], z its height. Its axes are width, height, depth."""
+    axes = np.array([pose[:3, 0], pose[:3, 2], -pose[:3, 1]])
+    low, high = (pose[:3, 3] + sign * 0.5 * np.abs(pose[:3, :3]) @ size for sign in (-1, 1))
+    box = {
+        "centroid": pose[:3, 3].tolist(), "axesLengths": [float(size[0]), float(size[2]), float(size[1])],
+        "normalizedAxes": axes.ravel().tolist(), "min": low.tolist(), "max": high.tolist(),
+        "front": axes[2].tolist(), "up": axes[1].tolist(),
+    }  # fmt: skip
+    return {"label": name, "obb": box, **more}
+
+
+def write_multiscan(folder: Path, reading: Reading, is_labelled: bool = True) -> Path:
+    """As downloads have it, a number for each face and object; or as the older sample has it, lists of faces by names of objects and
+    parts. `is_labelled` says which. Objects have two parts, the first of one face."""
+    assert reading.surface is not None
+    surface, owner = reading.surface, owner_of_faces(reading)
+    objects, lists, counts = [], {}, dict[str, int]()
+    for index, group in enumerate(reading.groups or ()):
+        counts[group.raw_label] = counts.get(group.raw_label, 0) + 1
+        name = f"{group.raw_label}.{counts[group.raw_label]}"
+        corners = surface.vertices[group.vertices]
+        pose, size = np.eye(4), np.ptp(corners, axis=0)
+        pose[:3, 3] = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        numbers = {"objectId": index + 1, "partIds": [2 * index + 1, 2 * index + 2]} if is_labelled else {}
+        objects.append(annotated_object(name, pose, size, mobilityType="movable", **numbers))
+        lists |= {f"{name}:handle.1": listed(group.faces[:1]), f"{name}:{name}": listed(group.faces[1:])}
+    document: dict[str, object] = {"version": "multiscan@0.0.1", "scanId": folder.name, "objects": objects}
+    files: dict[str, bytes | str] = {}
+    if is_labelled:
+        document["parts"] = [{"partId": k + 1, "label": "handle.1"} for k in range(2 * len(objects))]
+        files[f"{folder.name}.ply"] = numbered_ply(surface, owner + 1)
+    else:
+        files[f"{folder.name}.ply"] = ply_bytes(surface)
+        files[f"{folder.name}.semseg.json"] = json.dumps({"scanId": folder.name, "triIndices": lists})
+    return put(folder, files | {f"{folder.name}.annotations.json": json.dumps(document)})
+
+
+def numbered_ply(surface: Surface, numbers: NDArray[np.int64]) -> bytes:
+    """A PLY as MultiScan has them: coordinates in double precision, normals, and the object and part of each face."""
+    vertex = np.zeros(len(surface.vertices), dtype=[("p", "<f8", 3), ("n", "<f8", 3), ("c", "u1", 4)])
+    vertex["p"], vertex["c"][:, :3], vertex["c"][:, 3] = surface.vertices, surface.colors, 255
+    face = np.zeros(len(surface.faces), dtype=[("k", "u1"), ("i", "<i4", 3), ("o", "<u2"), ("part", "<u2")])
+    face["k"], face["i"], face["o"], face["part"] = 3, surface.faces, numbers, 2 * numbers
+    header = f"ply\nformat binary_little_endian 1.0\ncomment VCGLIB generated\nelement vertex {len(vertex)}\n"
+    header += "".join(f"property double {axis}\n" for axis in ("x", "y", "z", "nx", "ny", "nz"))
+    header += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue", "alpha"))
+    header += (
+        f"element face {len(face)}\nproperty list uchar int vertex_indices\nproperty ushort objectId\nproperty ushort partId\nend_header\n"
+    )
+    return header.encode() + vertex.tobytes() + face.tobytes()
+
+
+def write_multiscan_boxes(folder: Path, boxes: Sequence[tuple[str, Array, Array]], turn: Array) -> Path:
+    """An annotation alone. boxes: Name, pose in the world frame, 4x4, and size [m] of each object. turn: World to scan frame, 4x4."""
+    objects = [annotated_object(name, turn @ pose, size) for name, pose, size in boxes]
+    document = {"version": "multiscan@0.0.1", "scanId": folder.name, "objects": objects, "articulations": {}}
+    return put(folder, {f"{folder.name}.annotations.json": json.dumps(document)})
+
+
 def labelled_ply(surface: Surface, labels: NDArray[np.int64], is_text: bool = False) -> bytes:
     """A PLY whose vertices have a number, and colors that say nothing of the scan."""
     header = f"ply\nformat {'ascii' if is_text else 'binary_little_endian'} 1.0\nelement vertex {len(labels)}\n"

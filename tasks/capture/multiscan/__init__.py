@@ -1,0 +1,188 @@
+"""MultiScan: the annotation of a scan, with the mesh whose faces it names, or with nothing but the boxes of its objects.
+
+Written from the public description of the data set, whose meshes name an object for each face, and from a sample of an earlier state of
+it, in which a file beside the mesh lists the faces of each object and part. Images lie in videos and are not read.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.budget import BUDGET
+from schemas.errors import InputError
+from tasks.capture.files.documents import integers, license_of, name_of, plain_text, read_bytes, read_json
+from tasks.capture.files.labelled_ply import read_labelled_ply
+from tasks.capture.files.ply import header, read_ply
+from tasks.capture.multiscan.annotation import AnnotatedObject, objects_of, upright
+from tasks.capture.multiscan.boxes import box_surfaces
+from tasks.capture.premises import Premises
+from tasks.capture.reading import Group, Reading, groups_of_faces
+from tasks.capture.roomplan import NO_SURFACE
+from tasks.capture.scan import Scan, ScanFormat, license_path, own_file
+from tasks.geometry.meshes import Surface
+
+ANNOTATION, SEGMENTS, MESH = ".annotations.json", ".semseg.json", ".ply"
+"""What the files of a scan end with, after its name."""
+
+NUMBER = "objectId"
+"""Property of the faces of a mesh: the object that each is of."""
+
+
+def read_multiscan(scan: Scan) -> Reading:
+    """The mesh turned to +Z up, and its objects; without a mesh the boxes of the objects, with a plain surface.
+
+    Raises:
+        InputError: a file is broken, or mesh and annotation do not fit together.
+    """
+    folder = scan.path
+    path = own_file(scan, _annotation(folder).name)
+    name = name_of(path, folder)
+    listed = objects_of(read_json(path, name), name)
+    turn, notes = upright(listed)
+    objects = [entry for entry in listed if not entry.is_removed]
+    if removed := len(listed) - len(objects):
+        notes.append(f"{removed} of {len(listed)} objects are marked to be removed: left out, with their faces")
+    license = license_of(license_path(folder, scan.premises))
+    by_ending = {ending: file for file in _files(scan, scan.premises) for ending in (SEGMENTS, MESH) if file.name.endswith(ending)}
+    mesh = by_ending.get(MESH)
+    if mesh is None:
+        whole, more = box_surfaces(objects, turn, name, path.name)
+        return Reading(
+            surface=whole.surface,
+            parts=whole.parts,
+            groups=whole.groups,
+            license=license,
+            is_modelled=True,
+            is_dense=False,
+            degradations=(NO_SURFACE, *notes, *more, *whole.notes),
+        )
+    notes.append("no frames are read from this format: no views, no masks")
+    surface, owner, more = _owned_faces(mesh, by_ending.get(SEGMENTS), folder, listed)
+    notes += more
+    groups = None
+    if owner is not None:
+        surface, owner = _without_removed(surface, owner, listed)
+        groups, more = _groups(listed, owner, surface, path.name)
+        notes += more
+    if not np.array_equal(turn, np.eye(4)):
+        surface = surface.transformed(turn)
+    return Reading(surface=surface, groups=groups, license=license, degradations=tuple(notes))
+
+
+def _owned_faces(
+    mesh: Path, segments: Path | None, folder: Path, listed: list[AnnotatedObject]
+) -> tuple[Surface, NDArray[np.int64] | None, list[str]]:
+    """The mesh, and the place in the list of the object that each face is of, -1 for none, shape (m,); None where no file says it."""
+    name = name_of(mesh, folder)
+    if _is_labelled(mesh, name) and all(entry.number is not None for entry in listed):
+        surface, numbers = read_labelled_ply(mesh, name, "face", NUMBER)
+        places = {entry.number: index for index, entry in enumerate(listed)}
+        present, dense = np.unique(numbers, return_inverse=True)
+        return surface, np.array([places.get(int(number), -1) for number in present], dtype=np.int64)[dense], []
+    surface = read_ply(mesh, name)
+    if segments is None:
+        why = f"no {NUMBER} of faces and objects, and no {mesh.stem}{SEGMENTS} beside the mesh"
+        return surface, None, [f"{why}: instances found in its geometry"]
+    segmented = name_of(segments, folder)
+    owner, notes = _owner(read_json(segments, segmented), segmented, len(surface.faces), listed)
+    return surface, owner, notes
+
+
+def _is_labelled(mesh: Path, name: str) -> bool:
+    _, elements, _ = header(read_bytes(mesh, name, BUDGET.scene_bytes, b"ply"), name)
+    return any(element.name == "face" and any(field[0] == NUMBER for field in element.fields) for element in elements)
+
+
+def _owner(document: dict[str, Any], name: str, count: int, listed: list[AnnotatedObject]) -> tuple[NDArray[np.int64], list[str]]:
+    """The same by lists of faces under the names of objects, or of objects and parts, as in `door.1` and `door.1:door_frame.1`."""
+    lists = document.get("triIndices")
+    if not isinstance(lists, dict):
+        raise InputError(name, "triIndices", "must be an object with lists of faces", "is it the right file?")
+    places: dict[str, list[int]] = {}
+    for index, entry in enumerate(listed):
+        places.setdefault(entry.name, []).append(index)
+    owner = np.full(count, -1, dtype=np.int64)
+    shared, unknown = 0, 0
+    for key, value in lists.items():
+        word = plain_text(key)
+        faces = np.unique(integers(value, name, f"triIndices.{word[:60]}"))
+        if len(faces) and faces[-1] >= count:
+            problem = f"names face {faces[-1]}, the mesh has {count}"
+            raise InputError(name, f"triIndices.{word[:60]}", problem, "use mesh and segments of one and the same scan")
+        place = places.get(word, places.get(word.partition(":")[0], []))
+        if not place:
+            unknown += 1
+            continue
+        free = faces[owner[faces] < 0]
+        shared += int((owner[faces] != place[0]).sum()) - len(free)
+        owner[free] = place[0]
+    notes = [f"{Path(name).name}: {unknown} of its names are not in the annotation: their faces are nobody's"] if unknown else []
+    if shared:
+        notes.append(f"{shared} faces are claimed by two objects: they stay with the first")
+    return owner, notes
+
+
+def _without_removed(surface: Surface, owner: NDArray[np.int64], listed: list[AnnotatedObject]) -> tuple[Surface, NDArray[np.int64]]:
+    """The mesh without the faces that are marked to be removed, and without the vertices that only these have; it keeps one face."""
+    is_removed = np.array([*(entry.is_removed for entry in listed), False])[owner]  # -1, for nobody's, is the last
+    if not is_removed.any() or is_removed.all():
+        return surface, owner
+    lost = np.setdiff1d(surface.faces[is_removed], surface.faces[~is_removed])
+    kept = np.setdiff1d(np.arange(len(surface.vertices)), lost)
+    faces = np.searchsorted(kept, surface.faces[~is_removed])
+    return Surface(surface.vertices[kept], faces, surface.colors[kept]), owner[~is_removed]
+
+
+def _groups(listed: list[AnnotatedObject], owner: NDArray[np.int64], surface: Surface, file: str) -> tuple[tuple[Group, ...], list[str]]:
+    objects = [(index, entry) for index, entry in enumerate(listed) if not entry.is_removed]
+    dense = np.full(len(listed) + 1, -1, dtype=np.int64)
+    dense[[index for index, _ in objects]] = np.arange(len(objects))
+    groups = groups_of_faces([(entry.source_id, entry.label) for _, entry in objects], dense[owner], surface)
+    fields = {entry.source_id: entry.field for _, entry in objects}
+    shown = {group.source_id for group in groups}
+    notes = [f"{entry.field} ({entry.name}): has no face of the mesh, left out" for _, entry in objects if entry.source_id not in shown]
+    own = [Group(g.source_id, g.raw_label, g.vertices, g.faces, f"{file}: {fields[g.source_id]}.label") for g in groups]
+    return tuple(own), notes
+
+
+def _annotations(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    named = (path for path in folder.iterdir() if re.fullmatch(rf"[^.].*{re.escape(ANNOTATION)}", path.name))
+    return sorted(path for path in named if not path.is_dir())
+
+
+def _annotation(folder: Path) -> Path:
+    annotations = _annotations(folder)
+    if len(annotations) != 1:
+        raise InputError(folder.name, "folder", f"holds {len(annotations)} annotations, one is expected", "give every scan its own folder")
+    return annotations[0]
+
+
+def _recognize(folder: Path) -> str | None:
+    return _annotation(folder).name.removesuffix(ANNOTATION) if _annotations(folder) else None
+
+
+def _files(scan: Scan, premises: Premises) -> list[Path]:
+    annotation = _annotation(scan.folder)
+    stem = annotation.name.removesuffix(ANNOTATION)
+    own = (annotation, *(scan.folder / f"{stem}{ending}" for ending in (SEGMENTS, MESH)))
+    return [path for path in own if path.is_file() and premises.admits(path)]
+
+
+MULTISCAN = ScanFormat(
+    name="multiscan",
+    dataset="multiscan",
+    expected=f"<scan>{ANNOTATION}, with <scan>{MESH}",
+    recognize=_recognize,
+    is_recorded=lambda folder: bool(_annotations(folder)),
+    files=_files,
+    read=read_multiscan,
+    signs=(f"*{ANNOTATION}", f"*{SEGMENTS}"),
+    room=r"(.*/scene_\d{5})_\d{2}",  # rescans are scene_00000_00, scene_00000_01
+)
