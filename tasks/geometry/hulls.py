@@ -57,6 +57,9 @@ LIMITS = Complexity(64, 64, 31, 31)
 """What PhysX takes on the GPU; older versions take 31 corners a polygon, newer ones 32."""
 
 
+_SCALED = (COPLANAR / 8.0, COPLANAR, 8.0 * COPLANAR)
+"""Reduced hulls keep the limits by all of these measures: at another scale, what nearly lies in one plane does so, or no longer."""
+
 REDUCED = Complexity(62, 58, 29, 29)
 """What hulls are reduced to: scaled, rounded to single precision and built again, they have some polygons more or less."""
 
@@ -117,9 +120,9 @@ def with_body(points: Array, thickness: float) -> Array:
     return points
 
 
-def complexity(hull: Hull) -> Complexity:
+def complexity(hull: Hull, coplanar: float = COPLANAR) -> Complexity:
     """Vertices, convex polygons once coplanar triangles are one, most corners of a polygon, most polygons at a vertex."""
-    polygon = _polygon_of(hull)
+    polygon = _polygon_of(hull, coplanar)
     count = int(polygon.max()) + 1
     corners = np.unique(np.column_stack([np.repeat(polygon, 3), hull.faces.ravel()]), axis=0)
     most = [int(np.bincount(corners[:, column]).max()) for column in (0, 1)]
@@ -131,12 +134,17 @@ def is_within(hull: Hull, limits: Complexity = LIMITS) -> bool:
     return len(hull.vertices) <= _few(limits) or complexity(hull).within(limits)
 
 
+def _stays_within(hull: Hull, limits: Complexity) -> bool:
+    """The same at another scale along each axis, too."""
+    return len(hull.vertices) <= _few(limits) or all(complexity(hull, measure).within(limits) for measure in _SCALED)
+
+
 def _few(limits: Complexity) -> int:
     """As many vertices, n, keep all limits however they lie: they have no more than 2 n - 4 faces."""
     return min(limits.vertices, limits.polygons // 2 + 2, limits.corners, limits.meeting)
 
 
-def _polygon_of(hull: Hull) -> NDArray[np.int64]:
+def _polygon_of(hull: Hull, coplanar: float) -> NDArray[np.int64]:
     """The polygon that each triangle of a hull belongs to, shape (m,)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -149,7 +157,7 @@ def _polygon_of(hull: Hull) -> NDArray[np.int64]:
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(crosses, axis=1)
     normals = crosses / np.maximum(lengths, 1e-300)[:, None]
-    tolerance = COPLANAR * float(np.linalg.norm(np.ptp(hull.vertices, axis=0)))
+    tolerance = coplanar * float(np.linalg.norm(np.ptp(hull.vertices, axis=0)))
 
     def off(a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
         return np.asarray(np.abs(np.einsum("nd,nkd->nk", normals[a], corners[b] - corners[a][:, :1])).max(axis=1))
@@ -166,7 +174,7 @@ def reduced(hull: Hull, limits: Complexity = REDUCED) -> Hull:
     Vertices are added where the rest reaches out farthest. The outermost ones along every axis come first, so that the box stays
     the same and what rests on a side of it still does.
     """
-    if is_within(hull, limits):
+    if _stays_within(hull, limits):
         return hull
     from scipy.spatial import ConvexHull
 
@@ -180,7 +188,7 @@ def reduced(hull: Hull, limits: Complexity = REDUCED) -> Hull:
             break
         farthest = int(beyond.argmax())
         left[farthest] = False
-        if len(chosen) < _few(limits) or is_within(_of(cloud, [*chosen, farthest]), limits):
+        if len(chosen) < _few(limits) or _stays_within(_of(cloud, [*chosen, farthest]), limits):
             chosen.append(farthest)
         else:
             refused += 1
@@ -223,13 +231,15 @@ def _outermost(cloud: Array) -> list[int]:
 def balanced(hull: Hull, whole: Hull) -> Hull:
     """A reduced hull grown until it reaches out of the whole one a little farther than that reaches out of it, inside the same box.
 
-    A collider that is too small shows at every silhouette, one that is too large by as much hardly does.
+    A collider that is too small shows at every silhouette, one that is too large by as much hardly does. Itself where that gains nothing:
+    a grown hull that breaks limits loses vertices.
     """
     low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
     grow = 1 + 1.25 * deviation(hull, whole.vertices) / np.maximum(high - low, 1e-9)
     middle = 0.5 * (low + high)
     # The sides of the box stay in it: whatever rests on one, or stands on it, does so as before.
-    return reduced(hull_of(np.clip(middle + (hull.vertices - middle) * grow, low, high)))
+    grown = reduced(hull_of(np.clip(middle + (hull.vertices - middle) * grow, low, high)))
+    return grown if deviation(grown, whole.vertices) < deviation(hull, whole.vertices) else hull
 
 
 def deviation(hull: Hull, points: Array) -> float:

@@ -122,6 +122,17 @@ def test_reduced_hulls_stay_within_limits_when_they_are_scaled_and_written(sides
     assert is_within(hull_of(written))
 
 
+@given(sides=st.integers(20, 64), step=st.floats(1e-7, 1e-4), stretch=st.tuples(st.floats(0.5, 2.0), st.floats(0.5, 2.0)))
+def test_a_disc_whose_rim_is_nearly_even_stays_within_limits_when_it_is_scaled(
+    sides: int, step: float, stretch: tuple[float, float]
+) -> None:
+    """Sides that are one polygon at one scale are several at another: the limits hold for both."""
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    rim = np.column_stack([0.06 * np.cos(angles), 0.06 * np.sin(angles), np.where(np.arange(sides) % 3, 0.0, step)])
+    hull = reduced(hull_of(np.concatenate([rim, rim * [1.16, 1.16, -1.0] + [0.0, 0.0, 0.0057]])))
+    assert is_within(hull_of((hull.vertices * [*stretch, 1.0]).astype(np.float32).astype(np.float64)))
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_a_disc_with_a_pointed_rim_is_reduced_however_it_lies(seed: int) -> None:
     angles = 2.0 * np.pi * np.arange(48) / 48
