@@ -1,7 +1,7 @@
 """Instances of a scan that has frames and no labels: regions of frames, as far as views agree, on the scan's surface.
 
-Fused voxels are not clustered: what stands close together has grown into one there. In a room, whose furniture no frame shows whole,
-regions of its surface come first, and of these what frames see apart.
+Fused voxels are not clustered: what stands close together has grown into one there. In a room that is walked through, whose furniture no
+frame shows whole, regions of its surface come first, and of these what frames see apart.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tasks.capture.reading import FrameSource, groups_of
 from tasks.capture.segmentation.frame import FrameConfig, segmented_frame
 from tasks.capture.segmentation.refinement import RefinementConfig, refined
 from tasks.capture.small_objects.consensus import ConsensusConfig, associate
-from tasks.capture.small_objects.lifting import DepthView, FrameMasks, LiftedFrame, LiftingConfig, depth_view, lift
+from tasks.capture.small_objects.lifting import DepthView, FrameMasks, LiftedFrame, LiftingConfig, depth_noise, depth_view, lift
 from tasks.geometry.meshes import Surface
 from tasks.geometry.triangles import vertex_normals
 from tasks.settings import Config, Count, NonNegative, Positive, Share
@@ -40,6 +40,9 @@ SUPPORT = "support"
 
 _FINEST_M, _COARSEST_M = 0.005, 0.02
 """Least and largest side of the voxels in which views agree."""
+
+_SHOWN_SIGMAS = 3.0
+"""Of a view's depth, within which it shows a vertex."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +76,7 @@ class VoteConfig(Config):
     frame: FrameConfig = dataclasses.field(default_factory=FrameConfig)  # see there
     lifting: RegionLifting = dataclasses.field(default_factory=RegionLifting)  # see there
     consensus: RegionConsensus = dataclasses.field(default_factory=RegionConsensus)  # see there
+    overview_share: Share = 0.25  # of the surface in one view, mostly: frames show things whole; 0.03 to 0.05 on walks through dwellings
     refinement: RefinementConfig = dataclasses.field(default_factory=RefinementConfig)  # see there
 
 
@@ -91,8 +95,8 @@ def voted_groups(
 ) -> GeometryInstances:  # fmt: skip
     """Instances of an aligned scan: the room as its surface has it, and what frames see of the rest.
 
-    by_surface: What the geometry of the surface alone shows; all of it is kept where no frame has depth and a pose, and nothing where the
-    scan is of a table. alignment: Scan frame to world frame, 4x4 [m]. naming: How categories are guessed.
+    by_surface: What the geometry of the surface alone shows; all of it is kept where no frame has depth and a pose, nothing where the scan is
+    of a table, and only floor, walls and ceiling where frames show most things whole. alignment: Scan frame to world frame, 4x4 [m]. naming: How categories are guessed.
 
     Raises:
         InputError: images of a frame cannot be read.
@@ -108,10 +112,11 @@ def voted_groups(
         if not is_table:
             owner[group.vertices] = len(named)
             named.append((category, group.vertices))
-    views = [depth_view(frames[index], alignment) for index in chosen_frames(frames, config.most_frames)]
+    posed = [depth_view(frames[index], alignment) for index in chosen_frames(frames, config.most_frames)]
+    views = [view for view in posed if view is not None]
     normals, areas = vertex_normals(world.vertices, world.faces), vertex_areas(world)
-    instances = voted_instances(world, owner >= 0, [view for view in views if view is not None], config)
-    if room and not is_table:
+    instances = voted_instances(world, owner >= 0, views, config)
+    if room and not is_table and shown_share(world, areas, views, config.near_spacings * spacing_of(world)) < config.overview_share:
         regions = [group.vertices for group in by_surface.groups if group.raw_label.partition(":")[2] not in ROOM]
         parts, numbers = refined(regions, [members for members, _ in instances], areas, config.refinement)
         instances = [(members, number >= 0 and instances[number][1]) for members, number in zip(parts, numbers, strict=True)]
@@ -129,8 +134,7 @@ def voted_groups(
         named.append((name.category, members))
     objects = sum(category not in ROOM for category, _ in named)
     rows = [(str(index), f"{PROVIDER}:{category}", np.sort(members)) for index, (category, members) in enumerate(named)]
-    seen = sum(view is not None for view in views)
-    notes = [f"instances found in the depth of {seen} frames: {objects} objects, categories guessed from their sizes"]
+    notes = [f"instances found in the depth of {len(views)} frames: {objects} objects, categories guessed from their sizes"]
     if is_table:
         notes.append("cameras look at a table from close by, no floor seen: the table's top is at height 0")
     return GeometryInstances(groups_of(rows, owner, world), probabilities, tuple(notes))
@@ -172,6 +176,21 @@ def voted_instances(world: Surface, is_room: Bools, views: Sequence[DepthView], 
     kept = [i for i in range(len(clouds)) if of_room[i] < config.room_share * max(int(sizes[i]), 1)]
     instances = [(np.flatnonzero(free == index), consensus.instances[index].label == SUPPORT) for index in kept]
     return sorted((each for each in instances if len(each[0]) >= config.least_vertices), key=lambda each: (-len(each[0]), int(each[0][0])))
+
+
+def shown_share(world: Surface, areas: Array, views: Sequence[DepthView], reach: float) -> float:
+    """The share of a surface that one view shows, the median over views; 0 without any.
+
+    areas: Of its vertices [m2], shape (n,). reach: How far off a view's depth a vertex may be that it shows [m], beside its noise.
+    """
+    shares = []
+    for view in views:
+        row, column, depth, inside = view.pixels(world.vertices)
+        row, column, depth = row[inside], column[inside], depth[inside]
+        seen = view.depth[row, column]
+        is_shown = (seen > 0) & (np.abs(seen - depth) < reach + _SHOWN_SIGMAS * depth_noise(depth))
+        shares.append(float(areas[inside][is_shown].sum() / areas.sum()))
+    return float(np.median(shares)) if shares else 0.0
 
 
 def room_pixels(world: Surface, is_room: Bools, views: Sequence[DepthView], reach: float) -> list[Bools | None]:
