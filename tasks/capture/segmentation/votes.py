@@ -95,8 +95,9 @@ def voted_groups(
 ) -> GeometryInstances:  # fmt: skip
     """Instances of an aligned scan: the room as its surface has it, and what frames see of the rest.
 
-    by_surface: What the geometry of the surface alone shows; all of it is kept where no frame has depth and a pose, nothing where the scan is
-    of a table, and only floor, walls and ceiling where frames show most things whole. alignment: Scan frame to world frame, 4x4 [m]. naming: How categories are guessed.
+    by_surface: What the geometry of the surface alone shows; all of it is kept where no frame has depth and a pose, nothing where the scan
+    is of a table, and only floor, walls and ceiling where frames show most things whole.
+    alignment: Scan frame to world frame, 4x4 [m]. naming: How categories are guessed.
 
     Raises:
         InputError: images of a frame cannot be read.

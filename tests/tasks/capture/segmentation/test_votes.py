@@ -13,12 +13,13 @@ from schemas.record import check
 from schemas.tables import TABLES
 from tasks.capture import CaptureConfig, find_scans, run
 from tasks.capture.fusion import FusionConfig, voxel_side
+from tasks.capture.instances.segmentation import GeometryInstances
 from tasks.capture.instances.views import camera_up
 from tasks.capture.leveling import read_scan
-from tasks.capture.reading import FrameSource, Reading
+from tasks.capture.reading import FrameSource, Reading, groups_of
 from tasks.capture.segmentation.frame import FrameConfig
 from tasks.capture.segmentation.gravity import scan_level
-from tasks.capture.segmentation.votes import VoteConfig, is_tabletop, room_pixels
+from tasks.capture.segmentation.votes import VoteConfig, is_tabletop, room_pixels, shown_share, voted_groups
 from tasks.capture.small_objects.lifting import DepthView
 from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import matrix, translation
@@ -70,6 +71,49 @@ def test_pixels_of_the_room_are_those_whose_nearest_vertex_is(tmp_path: Path) ->
     assert moved is not None
     assert not moved.any()
     assert room_pixels(world, np.zeros(has_depth.sum(), dtype=bool), [view], 0.02) == [None]
+
+
+def test_the_share_that_a_view_shows_is_of_the_surface_and_not_of_its_vertices(tmp_path: Path) -> None:
+    """Half of the vertices are behind what is seen; they have a third of the area."""
+    view, _ = room([])
+    seen = view.points()[view.depth > 0]
+    behind = view.pose[:3, 3] + 1.2 * (seen - view.pose[:3, 3])
+    world = Surface(np.concatenate([seen, behind]), np.zeros((0, 3), dtype=np.int64), np.zeros((2 * len(seen), 3), dtype=np.uint8))
+    areas = np.repeat([2.0, 1.0], len(seen))
+    assert shown_share(world, areas, [view], 0.02) == pytest.approx(2 / 3)
+    away = dataclasses.replace(view, pose=view.pose @ translation([0, 0, -50.0]))
+    assert shown_share(world, areas, [view, view, away], 0.02) == pytest.approx(2 / 3), "the median"
+    assert shown_share(world, areas, [away, away, view], 0.02) == 0.0
+    assert shown_share(world, areas, [], 0.02) == 0.0
+
+
+def test_regions_of_the_surface_come_first_only_where_no_frame_shows_most_of_it(tmp_path: Path) -> None:
+    """A cupboard that the surface has in two halves, and a frame as one: the frame is believed where it shows more than a fifth."""
+    view, owner = room([[block((0.4, 0.8, 0.9), 0.3, 0.0)]])
+    reading = reading_of(tmp_path / "room", [view])
+    rows, columns = np.indices(view.depth.shape)
+    pixel = rows * view.depth.shape[1] + columns
+    quads = np.stack([part.ravel() for part in (pixel[:-1, :-1], pixel[1:, :-1], pixel[:-1, 1:], pixel[1:, 1:])], axis=1)
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [1, 3, 2]]])
+    depths = view.depth.ravel()[faces]
+    faces = faces[(depths.min(axis=1) > 0) & (np.ptp(depths, axis=1) < 0.1)]
+    points, of = view.points().reshape(-1, 3), owner.ravel()
+    labels = np.where(of < 0, 0, np.where(columns.ravel() > np.median(columns[owner >= 0]), 2, 1))
+
+    def cupboards(more: int) -> list[int]:
+        """Vertices of what is found of the cupboard, where so many walls as large as what is seen are far behind the camera."""
+        vertices = np.concatenate([points - [20.0 * k, 0, 0] for k in range(more + 1)])
+        joined = np.concatenate([faces + k * len(points) for k in range(more + 1)])
+        world = Surface(vertices, joined, np.full(vertices.shape, 120, dtype=np.uint8))
+        whose = np.concatenate([labels, np.zeros(more * len(points), dtype=np.int64)])
+        named = [(str(i), f"geometry:{name}", np.flatnonzero(whose == i)) for i, name in enumerate(("wall", "unknown", "unknown"))]
+        by_surface = GeometryInstances(groups_of(named, whose, world), {}, ())
+        found = voted_groups(world, by_surface, reading.frames, view.pose, CaptureConfig().segmentation.naming, VoteConfig()).groups
+        return [len(group.vertices) for group in found if not group.raw_label.endswith(":wall")]
+
+    halves = [int((labels == 1).sum()), int((labels == 2).sum())]
+    assert cupboards(0) == [pytest.approx(sum(halves), rel=0.05)]
+    assert cupboards(4) == halves
 
 
 def test_frames_without_depth_or_plane_leave_it_to_cameras(tmp_path: Path) -> None:
