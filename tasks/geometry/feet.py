@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.geometry.hulls import REDUCED, Hull, hull_of, is_within
+from tasks.geometry.hulls import REDUCED, Hull, hull_of, stays_within
 from tasks.geometry.mass import GRAVITY_M_S2
 from tasks.geometry.triangles import face_planes
 
@@ -65,7 +65,7 @@ def on_feet(hulls: Sequence[Hull], center: Array, most: int) -> tuple[Hull, ...]
     for hull in hulls:
         feet = _feet_of(hull, low, center[:2])
         lifted = hull if feet is None else _lifted(hull, low)
-        made += [lifted, feet] if feet is not None and is_within(lifted, REDUCED) else [hull]
+        made += [lifted, feet] if feet is not None and stays_within(lifted, REDUCED) else [hull]
     return tuple(made) if len(made) <= most else tuple(hulls)
 
 

@@ -3,7 +3,7 @@
 PhysX merges triangles that lie in one plane and counts what remains: on the GPU a hull has at most 64 vertices, 64 convex
 polygons, 32 corners a polygon and 32 polygons at a vertex, and one with more comes out smaller. Polygons are what is counted
 here, too: a cylinder of 24 sides has 92 triangles and 26 polygons, and would lose a third of its sides to a limit of 64 triangles.
-Coplanar is judged a thousand times closer than PhysX does, so it never counts more than are counted here.
+Coplanar is judged a hundred times closer than PhysX does, so it never counts more than are counted here.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tasks.geometry.triangles import enclosed_volume, face_planes
 
 Array = NDArray[np.float64]
 
-COPLANAR = 1e-6
+COPLANAR = 8e-6
 """Neighboring triangles are one polygon when each lies in the plane of the other up to this share of the hull's diagonal."""
 
 
@@ -57,8 +57,10 @@ LIMITS = Complexity(64, 64, 31, 31)
 """What PhysX takes on the GPU; older versions take 31 corners a polygon, newer ones 32."""
 
 
-_SCALED = (COPLANAR / 8.0, COPLANAR, 8.0 * COPLANAR)
-"""Reduced hulls keep the limits by all of these measures: at another scale, what nearly lies in one plane does so, or no longer."""
+_SCALED = (COPLANAR / 8.0, 8.0 * COPLANAR)
+"""Reduced hulls keep the limits by both measures: at another scale, what nearly lies in one plane does so, or no longer. Below the
+first, coordinates of six decimals and of single precision make triangles of flat sides."""
+
 
 REDUCED = Complexity(62, 58, 29, 29)
 """What hulls are reduced to: scaled, rounded to single precision and built again, they have some polygons more or less."""
@@ -134,8 +136,8 @@ def is_within(hull: Hull, limits: Complexity = LIMITS) -> bool:
     return len(hull.vertices) <= _few(limits) or complexity(hull).within(limits)
 
 
-def _stays_within(hull: Hull, limits: Complexity) -> bool:
-    """The same at another scale along each axis, too."""
+def stays_within(hull: Hull, limits: Complexity) -> bool:
+    """Whether engines take a hull as it is at other scales along its axes, too."""
     return len(hull.vertices) <= _few(limits) or all(complexity(hull, measure).within(limits) for measure in _SCALED)
 
 
@@ -174,7 +176,7 @@ def reduced(hull: Hull, limits: Complexity = REDUCED) -> Hull:
     Vertices are added where the rest reaches out farthest. The outermost ones along every axis come first, so that the box stays
     the same and what rests on a side of it still does.
     """
-    if _stays_within(hull, limits):
+    if stays_within(hull, limits):
         return hull
     from scipy.spatial import ConvexHull
 
@@ -188,7 +190,7 @@ def reduced(hull: Hull, limits: Complexity = REDUCED) -> Hull:
             break
         farthest = int(beyond.argmax())
         left[farthest] = False
-        if len(chosen) < _few(limits) or _stays_within(_of(cloud, [*chosen, farthest]), limits):
+        if len(chosen) < _few(limits) or stays_within(_of(cloud, [*chosen, farthest]), limits):
             chosen.append(farthest)
         else:
             refused += 1

@@ -23,7 +23,7 @@ _AXIS_SLACK = 1.05
 makes the smallest box of a round or partly seen object lean by any angle."""
 
 _EXACT_SLACK = 1.0001
-"""The same of exact points whose outline is a rectangle: it is the box, up to what leans by less than a tenth of a millimetre."""
+"""The same of exact points whose outline is a rectangle: it is the box, up to one part in ten thousand of its area."""
 
 
 def oriented_box(points: Array, is_noisy: bool = True, yaw: float | None = None) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ it, in which a file beside the mesh lists the faces of each object and part. Ima
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,9 @@ from tasks.geometry.meshes import Surface
 ANNOTATION, SEGMENTS, MESH = ".annotations.json", ".semseg.json", ".ply"
 """What the files of a scan end with, after its name."""
 
+_SCENE = r"scene_\d{5}_\d{2}"
+"""What scans are called."""
+
 NUMBER = "objectId"
 """Property of the faces of a mesh: the object that each is of."""
 
@@ -44,12 +48,14 @@ def read_multiscan(scan: Scan) -> Reading:
     name = name_of(path, folder)
     listed = objects_of(read_json(path, name), name)
     turn, notes = upright(listed)
+    from_file = None if np.array_equal(turn, np.eye(4)) else turn
     objects = [entry for entry in listed if not entry.is_removed]
+    if not objects:
+        raise InputError(name, "objects", "every object is marked to be removed", "is it the right annotation?")
     if removed := len(listed) - len(objects):
         notes.append(f"{removed} of {len(listed)} objects are marked to be removed: left out, with their faces")
     license = license_of(license_path(folder, scan.premises))
-    by_ending = {ending: file for file in _files(scan, scan.premises) for ending in (SEGMENTS, MESH) if file.name.endswith(ending)}
-    mesh = by_ending.get(MESH)
+    mesh, segments = (_named(scan, ending) for ending in (MESH, SEGMENTS))
     if mesh is None:
         whole, more = box_surfaces(objects, turn, name, path.name)
         return Reading(
@@ -60,18 +66,21 @@ def read_multiscan(scan: Scan) -> Reading:
             is_modelled=True,
             is_dense=False,
             degradations=(NO_SURFACE, *notes, *more, *whole.notes),
+            from_file=from_file,
         )
     notes.append("no frames are read from this format: no views, no masks")
-    surface, owner, more = _owned_faces(mesh, by_ending.get(SEGMENTS), folder, listed)
+    surface, owner, more = _owned_faces(mesh, segments, folder, listed)
     notes += more
     groups = None
     if owner is not None:
-        surface, owner = _without_removed(surface, owner, listed)
+        if (owner < 0).all():
+            raise InputError(name, "objects", "no face of the mesh is of any of them", "use mesh and annotation of one and the same scan")
+        surface, owner = _without_removed(surface, owner, listed, name)
         groups, more = _groups(listed, owner, surface, path.name)
         notes += more
-    if not np.array_equal(turn, np.eye(4)):
-        surface = surface.transformed(turn)
-    return Reading(surface=surface, groups=groups, license=license, degradations=tuple(notes))
+    if from_file is not None:
+        surface = surface.transformed(from_file)
+    return Reading(surface=surface, groups=groups, license=license, degradations=tuple(notes), from_file=from_file)
 
 
 def _owned_faces(
@@ -79,14 +88,18 @@ def _owned_faces(
 ) -> tuple[Surface, NDArray[np.int64] | None, list[str]]:
     """The mesh, and the place in the list of the object that each face is of, -1 for none, shape (m,); None where no file says it."""
     name = name_of(mesh, folder)
-    if _is_labelled(mesh, name) and all(entry.number is not None for entry in listed):
+    is_labelled, is_numbered = _is_labelled(mesh, name), any(entry.number is not None for entry in listed)
+    if is_labelled and is_numbered:
         surface, numbers = read_labelled_ply(mesh, name, "face", NUMBER)
-        places = {entry.number: index for index, entry in enumerate(listed)}
+        places = {entry.number: index for index, entry in enumerate(listed) if entry.number is not None}
+        unnumbered = [entry for entry in listed if entry.number is None and not entry.is_removed]
+        notes = [f"{entry.field} ({entry.name}): has no {NUMBER}, by which the mesh names its faces" for entry in unnumbered]
         present, dense = np.unique(numbers, return_inverse=True)
-        return surface, np.array([places.get(int(number), -1) for number in present], dtype=np.int64)[dense], []
+        return surface, np.array([places.get(int(number), -1) for number in present], dtype=np.int64)[dense], notes
     surface = read_ply(mesh, name)
     if segments is None:
-        why = f"no {NUMBER} of faces and objects, and no {mesh.stem}{SEGMENTS} beside the mesh"
+        where = "in the annotation" if is_labelled else "at the faces" if is_numbered else "at the faces and in the annotation"
+        why = f"no {NUMBER} {where}, and no {mesh.stem}{SEGMENTS} beside the mesh"
         return surface, None, [f"{why}: instances found in its geometry"]
     segmented = name_of(segments, folder)
     owner, notes = _owner(read_json(segments, segmented), segmented, len(surface.faces), listed)
@@ -127,10 +140,18 @@ def _owner(document: dict[str, Any], name: str, count: int, listed: list[Annotat
     return owner, notes
 
 
-def _without_removed(surface: Surface, owner: NDArray[np.int64], listed: list[AnnotatedObject]) -> tuple[Surface, NDArray[np.int64]]:
-    """The mesh without the faces that are marked to be removed, and without the vertices that only these have; it keeps one face."""
+def _without_removed(
+    surface: Surface, owner: NDArray[np.int64], listed: list[AnnotatedObject], name: str
+) -> tuple[Surface, NDArray[np.int64]]:  # fmt: skip
+    """The mesh without the faces that are marked to be removed, and without the vertices that only these have.
+
+    Raises:
+        InputError: nothing is left.
+    """
     is_removed = np.array([*(entry.is_removed for entry in listed), False])[owner]  # -1, for nobody's, is the last
-    if not is_removed.any() or is_removed.all():
+    if is_removed.all():
+        raise InputError(name, "objects", "every face of the mesh is marked to be removed", "is it the right annotation?")
+    if not is_removed.any():
         return surface, owner
     lost = np.setdiff1d(surface.faces[is_removed], surface.faces[~is_removed])
     kept = np.setdiff1d(np.arange(len(surface.vertices)), lost)
@@ -154,7 +175,13 @@ def _annotations(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
     named = (path for path in folder.iterdir() if re.fullmatch(rf"[^.].*{re.escape(ANNOTATION)}", path.name))
-    return sorted(path for path in named if not path.is_dir())
+    return sorted(path for path in named if not path.is_dir() and _is_scan(folder, path.name.removesuffix(ANNOTATION)))
+
+
+def _is_scan(folder: Path, stem: str) -> bool:
+    """Whether an annotation is one of a scan: others name files so, too, beside scans of other formats."""
+    own = (folder / f"{stem}{ending}" for ending in (MESH, SEGMENTS))
+    return re.fullmatch(_SCENE, stem) is not None or stem == folder.name or any(os.path.lexists(path) for path in own)
 
 
 def _annotation(folder: Path) -> Path:
@@ -166,6 +193,17 @@ def _annotation(folder: Path) -> Path:
 
 def _recognize(folder: Path) -> str | None:
     return _annotation(folder).name.removesuffix(ANNOTATION) if _annotations(folder) else None
+
+
+def mesh_of(folder: Path) -> Path:
+    """Where the mesh of a scan is, or would be."""
+    return folder / f"{_annotation(folder).name.removesuffix(ANNOTATION)}{MESH}"
+
+
+def _named(scan: Scan, ending: str) -> Path | None:
+    """A file of the scan by what it ends with; None where nothing has that name: a link to nothing is to be told, not a scan without it."""
+    name = f"{_annotation(scan.folder).name.removesuffix(ANNOTATION)}{ending}"
+    return own_file(scan, name) if os.path.lexists(scan.folder / name) else None
 
 
 def _files(scan: Scan, premises: Premises) -> list[Path]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.files.documents import json_floats, plain_text
+from tasks.capture.labels import normalized
 from tasks.capture.roomplan.elements import LARGEST_M, RoomElement
 from tasks.capture.rooms.alignment import rotation_to_z
 from tasks.geometry.transforms import is_rigid, nearest_rigid
@@ -54,7 +55,7 @@ class AnnotatedObject:
     @property
     def is_removed(self) -> bool:
         """Whether it is no object; see `REMOVED`."""
-        return self.label.lower().startswith(REMOVED)
+        return normalized(self.label) == REMOVED
 
 
 def objects_of(document: dict[str, Any], name: str) -> list[AnnotatedObject]:

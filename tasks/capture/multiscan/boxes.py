@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tasks.capture.labels import normalized
 from tasks.capture.multiscan.annotation import AnnotatedObject
 from tasks.capture.roomplan.elements import RoomElement
-from tasks.capture.roomplan.surfaces import Assembly, ElementPart, assembled, box_part, floor_part, floor_within, wall_part
+from tasks.capture.roomplan.surfaces import Assembly, ElementPart, assembled, box_part, ceiling_part, floor_part, floor_within, wall_parts
 
 LEAVES = ("door", "window", "gate")
 """Last words of what walls have holes for."""
@@ -25,28 +25,29 @@ def box_surfaces(objects: Sequence[AnnotatedObject], turn: NDArray[np.float64], 
     name, file: What errors and labels call the annotation.
 
     Raises:
-        InputError: no box has an area, or they are larger than a scan.
+        InputError: no box has an area, they are larger than a scan, or a door lies in too many walls.
     """
     kept = [(entry, _turned(entry.box, turn)) for entry in objects if entry.box is not None]
-    notes = [f"{entry.field} ({entry.name}): has no box, left out" for entry in objects if entry.box is None]
+    notes = [f"{file}: {entry.field} ({entry.name}): has no box, left out" for entry in objects if entry.box is None]
     walls = [_standing(box) for entry, box in kept if _kind(entry) == "wall"]
     holes = [_standing(box) for entry, box in kept if _kind(entry) in LEAVES]
+    cut = iter(wall_parts(walls, holes, name))
     elements = []
     for entry, box in kept:
         match _kind(entry):
             case "wall":
-                part = wall_part(_standing(box), holes)
+                part = next(cut)
             case "floor":
                 part = floor_part(_flat(box, int(np.argmin(box.size))))
             case "ceiling":
-                part = wall_part(_flat(box, int(np.argmin(box.size))), ())  # of plaster, and without holes
+                part = ceiling_part(_flat(box, int(np.argmin(box.size))))
             case _:
                 part = box_part(box)
         elements.append(ElementPart(entry.source_id, entry.label, f"{file}: {entry.field}", f"{file}: {entry.field}.label", part))
     if walls and not any(_kind(entry) == "floor" for entry, _ in kept):
         elements.append(ElementPart("floor", "floor", f"{file}: objects", f"{file}: objects", floor_within(walls)))
         notes.append("no floor in the scan: taken to lie within the walls")
-    return assembled(elements, name, "objects"), notes
+    return assembled(elements, name, "objects", "give the scan its mesh, or an annotation with boxes"), notes
 
 
 def _kind(entry: AnnotatedObject) -> str:

@@ -17,7 +17,7 @@ from tasks.capture.files.documents import license_of, name_of, read_json
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
 from tasks.capture.roomplan.elements import elements_of
-from tasks.capture.roomplan.surfaces import ElementPart, assembled, box_part, floor_part, floor_within, panel_part, wall_part
+from tasks.capture.roomplan.surfaces import ElementPart, assembled, box_part, floor_part, floor_within, panel_part, wall_parts
 from tasks.capture.scan import Scan, ScanFormat, license_path, own_file
 from tasks.geometry.transforms import Y_UP_TO_Z_UP
 
@@ -43,7 +43,7 @@ def read_roomplan(scan: Scan) -> Reading:
         raise InputError(name, "walls", "there are none", "is it the JSON of a CapturedRoom? Scan the room's walls, too")
     notes = [NO_SURFACE]
     holes = [*listed["doors"], *listed["windows"], *listed["openings"]]
-    parts = [wall_part(wall, holes) for wall in listed["walls"]]
+    parts = wall_parts(listed["walls"], holes, name)
     labels = ["wall"] * len(parts)
     origins = [wall.field for wall in listed["walls"]]
     floors = [floor_part(floor) for floor in listed["floors"]]
@@ -59,7 +59,7 @@ def read_roomplan(scan: Scan) -> Reading:
     origins += [element.field for element in listed["objects"]]
     named = enumerate(zip(parts, labels, origins, strict=True))
     elements = [ElementPart(f"{label} {k}", label, field, f"{path.name}: {field}.category", part) for k, (part, label, field) in named]
-    whole = assembled(elements, name, "walls")
+    whole = assembled(elements, name, "walls", "scan the room again")
     return Reading(
         surface=whole.surface,
         parts=whole.parts,

@@ -31,6 +31,9 @@ LEAST_M = 0.01
 BESIDE_M = 0.3
 """What does not say which wall it is in is in the one that it is nearer to than this."""
 
+_MOST_WALLS = 16
+"""That a door may lie in: both sides of a wall, of two rooms, and as many again where a wall is listed in pieces."""
+
 GRAY, FLOOR_GRAY, OBJECT_GRAY = (225, 222, 215), (170, 150, 130), (190, 190, 190)
 """The file states no colors: those of plaster, wood and nothing in particular."""
 
@@ -56,10 +59,10 @@ class Assembly:
     notes: tuple[str, ...]
 
 
-def assembled(elements: Sequence[ElementPart], name: str, list_of: str) -> Assembly:
+def assembled(elements: Sequence[ElementPart], name: str, list_of: str, remedy: str) -> Assembly:
     """Elements as one surface with an instance for each; those without an area are left out, with a note.
 
-    name, list_of: File and field that an error names where none has an area.
+    name, list_of, remedy: File and field that an error names where none has an area, and what is to be done.
 
     Raises:
         InputError: none has an area, or they are larger than a scan.
@@ -68,7 +71,7 @@ def assembled(elements: Sequence[ElementPart], name: str, list_of: str) -> Assem
     vertices, faces = 0, 0
     kept = [element for element in elements if len(element.part.faces)]
     if not kept:
-        raise InputError(name, list_of, "no element has an area", "scan the room again")
+        raise InputError(name, list_of, "no element has an area", remedy)
     for element in kept:
         part = element.part
         own = (np.arange(vertices, vertices + len(part.vertices)), np.arange(faces, faces + len(part.faces)))
@@ -82,13 +85,36 @@ def assembled(elements: Sequence[ElementPart], name: str, list_of: str) -> Assem
     return Assembly(surface, parts, tuple(groups), notes)
 
 
-def wall_part(wall: RoomElement, holes: Sequence[RoomElement]) -> trimesh.Trimesh:
-    """A wall without the doors, windows and openings in it."""
-    shape = _outline(wall)
-    for hole in holes:
-        if hole.parent == wall.identifier if hole.parent and wall.identifier else _is_in(hole, wall):
-            shape = shape.difference(_rectangle(_in_frame(hole, wall)))
-    return _flat_part(shape, wall.pose, GRAY)
+def wall_parts(walls: Sequence[RoomElement], holes: Sequence[RoomElement], name: str) -> list[trimesh.Trimesh]:
+    """Walls without the doors, windows and openings in them. name: What errors call the file.
+
+    Raises:
+        InputError: a hole lies in more walls than there are in a place.
+    """
+    import shapely
+
+    middles = np.array([transform_points(_corners(hole), hole.pose).mean(axis=0) for hole in holes]).reshape(-1, 3)
+    parents = np.array([hole.parent or "" for hole in holes], dtype=object)
+    parts, counts = [], np.zeros(len(holes), dtype=np.int64)
+    for wall in walls:
+        middle = transform_points(middles, inverse(wall.pose))
+        is_in = (np.abs(middle[:, 2]) < BESIDE_M) & (np.abs(middle[:, :2]) <= 0.5 * wall.size[:2]).all(axis=1)
+        if wall.identifier:
+            is_in = np.where(parents == "", is_in, parents == wall.identifier)
+        counts += is_in
+        if (counts > _MOST_WALLS).any():
+            crowded = holes[int(counts.argmax())].field
+            raise InputError(name, crowded, f"lies in more than {_MOST_WALLS} walls", "is the same wall listed again and again?")
+        shape = _outline(wall)
+        if is_in.any():
+            shape = shape.difference(shapely.union_all([_rectangle(_in_frame(holes[k], wall)) for k in np.flatnonzero(is_in).tolist()]))
+        parts.append(_flat_part(shape, wall.pose, GRAY))
+    return parts
+
+
+def ceiling_part(ceiling: RoomElement) -> trimesh.Trimesh:
+    """A ceiling with its outline, of plaster like walls."""
+    return _flat_part(_outline(ceiling), ceiling.pose, GRAY)
 
 
 def floor_part(floor: RoomElement) -> trimesh.Trimesh:
@@ -148,11 +174,6 @@ def _rectangle(corners: Array) -> Any:
     import shapely
 
     return shapely.box(*corners[:, :2].min(axis=0), *corners[:, :2].max(axis=0))
-
-
-def _is_in(hole: RoomElement, wall: RoomElement) -> bool:
-    center = _in_frame(hole, wall).mean(axis=0)
-    return bool(abs(center[2]) < BESIDE_M and (np.abs(center[:2]) <= 0.5 * wall.size[:2]).all())
 
 
 def _flat_part(shape: shapely.Geometry, pose: Array, color: tuple[int, int, int]) -> trimesh.Trimesh:

@@ -117,6 +117,8 @@ def voted_groups(
     views = [view for view in posed if view is not None]
     normals, areas = vertex_normals(world.vertices, world.faces), vertex_areas(world)
     instances = voted_instances(world, owner >= 0, views, config)
+    if room and not is_table and not views:
+        return by_surface
     if room and not is_table and shown_share(world, areas, views, config.near_spacings * spacing_of(world)) < config.overview_share:
         regions = [group.vertices for group in by_surface.groups if group.raw_label.partition(":")[2] not in ROOM]
         parts, numbers = refined(regions, [members for members, _ in instances], areas, config.refinement)
@@ -180,17 +182,17 @@ def voted_instances(world: Surface, is_room: Bools, views: Sequence[DepthView], 
 
 
 def shown_share(world: Surface, areas: Array, views: Sequence[DepthView], reach: float) -> float:
-    """The share of a surface that one view shows, the median over views; 0 without any.
+    """The share of a surface that one view shows, the median over views; 0 without any, and of a surface without area.
 
     areas: Of its vertices [m2], shape (n,). reach: How far off a view's depth a vertex may be that it shows [m], beside its noise.
     """
-    shares = []
+    shares, whole = [], max(float(areas.sum()), 1e-12)
     for view in views:
         row, column, depth, inside = view.pixels(world.vertices)
         row, column, depth = row[inside], column[inside], depth[inside]
         seen = view.depth[row, column]
         is_shown = (seen > 0) & (np.abs(seen - depth) < reach + _SHOWN_SIGMAS * depth_noise(depth))
-        shares.append(float(areas[inside][is_shown].sum() / areas.sum()))
+        shares.append(float(areas[inside][is_shown].sum() / whole))
     return float(np.median(shares)) if shares else 0.0
 
 

@@ -60,12 +60,15 @@ def test_a_scan_of_each_kind_becomes_usd(command: Callable[..., str], tmp_path: 
 
 @pytest.mark.whole
 def test_a_real_annotation_without_a_mesh_becomes_usd(command: Callable[..., str], realdata: Callable[[str], Path], tmp_path: Path) -> None:
-    """The annotation of a real storeroom of MultiScan: boxes in, a scene that passes its gate out, with all its furniture placed."""
+    """The annotation of a real storeroom of MultiScan: boxes in, a scene that passes its gate out, with all its furniture placed.
+
+    Its boxes reach up to 19 cm into each other and into walls: the search for their places is left its moves.
+    """
     (annotation,) = realdata("multiscan_sample").glob("*.annotations.json")
     scan, lake = tmp_path / "scan", tmp_path / "lake"
     scan.mkdir()
     shutil.copy(annotation, scan / annotation.name)
-    made = command("run", "--scans", scan, "--lake", lake, "--workers", 1, *QUICK, "--set", 'exports.formats=["usd"]')
+    made = command("run", "--scans", scan, "--lake", lake, "--workers", 1, "--set", 'exports.formats=["usd"]')
     assert "1 scenes done" in made
 
     def ask(query: str) -> list[Any]:

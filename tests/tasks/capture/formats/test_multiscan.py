@@ -108,6 +108,63 @@ def test_what_is_marked_to_be_removed_goes_with_its_faces(is_labelled: bool, tmp
     assert any(note.startswith(f"1 of {len(groups)} objects are marked to be removed") for note in reading.degradations)
 
 
+def test_an_object_without_a_number_costs_no_other_one(tmp_path: Path) -> None:
+    """The mesh names faces by numbers: what has none is left out, and what is marked to be removed needs none."""
+    native = sample()
+    names = [group.raw_label for group in native.groups or ()]
+
+    def forget(document: dict[str, Any]) -> None:
+        document["objects"][names.index("chair")].pop("objectId")
+        document["objects"].append({"label": "remove"})
+
+    changed(write_multiscan(tmp_path / SCAN, native), forget)
+    reading = read(tmp_path)
+    assert [group.raw_label for group in reading.groups or ()] == [name for name in names if name != "chair"]
+    place = names.index("chair")
+    assert f"objects[{place}] (chair.1): has no objectId, by which the mesh names its faces" in reading.degradations
+
+
+def test_numbers_of_another_annotation_are_refused(tmp_path: Path) -> None:
+    def renumber(document: dict[str, Any]) -> None:
+        for entry in document["objects"]:
+            entry["objectId"] += 1000
+
+    changed(write_multiscan(tmp_path / SCAN, sample()), renumber)
+    with pytest.raises(
+        InputError, match=r"objects: no face of the mesh is of any of them; use mesh and annotation of one and the same scan"
+    ):
+        read(tmp_path)
+
+
+def test_a_remover_is_an_object(tmp_path: Path) -> None:
+    changed(write_multiscan_boxes(tmp_path / SCAN, boxes(), np.eye(4)), lambda d: d["objects"][-1].update(label="remover.1"))
+    assert [group.raw_label for group in read(tmp_path).groups or ()][-1] == "remover"
+
+
+def test_a_mesh_that_is_a_link_to_nothing_is_told(tmp_path: Path) -> None:
+    """As data that was not fetched yet lies there: no room of boxes is made of it."""
+    folder = write_multiscan(tmp_path / SCAN, sample())
+    (folder / f"{SCAN}.ply").unlink()
+    (folder / f"{SCAN}.ply").symlink_to(folder / "annex" / "content")
+    with pytest.raises(InputError, match=rf"{SCAN}.ply"):
+        read(tmp_path)
+    gap = find_gap(only_scan(tmp_path))
+    assert gap is not None
+    assert not gap.is_readable
+
+
+def test_annotations_of_others_take_no_folder_from_its_format(tmp_path: Path) -> None:
+    write_multiscan(tmp_path / "kitchen", sample())
+    folder = tmp_path / "kitchen"
+    assert only_scan(folder).scan == "kitchen", "named as the folder is"
+    for path in [*folder.iterdir()]:
+        path.rename(folder / path.name.replace("kitchen", "home"))
+    assert only_scan(folder).scan == "home", "beside its mesh"
+    (folder / "home.ply").unlink()
+    scans, _ = find_scans(folder)
+    assert scans == []
+
+
 def test_without_numbers_and_lists_instances_are_to_be_found(tmp_path: Path) -> None:
     folder = write_multiscan(tmp_path / SCAN, sample(), is_labelled=False)
     (folder / f"{SCAN}.semseg.json").unlink()
@@ -216,6 +273,9 @@ def test_a_mesh_is_turned_with_its_boxes(tmp_path: Path) -> None:
     assert surface is not None
     assert native is not None
     np.testing.assert_allclose(surface.vertices, native.vertices[:, [0, 2, 1]] * [1, -1, 1], atol=1e-12)
+    from_file = read(tmp_path).from_file
+    assert from_file is not None
+    np.testing.assert_allclose(transform_points(native.vertices, from_file), surface.vertices, atol=1e-12)
 
 
 def corners(pose: Array, size: Array) -> Array:
@@ -284,7 +344,12 @@ def changed(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
         (lambda d: d["objects"][1]["obb"].update(centroid=[0, 0]), r"objects\[1\].obb.centroid: must be 3 numbers"),
         (lambda d: d["objects"][1]["obb"].update(axesLengths=[1, -1, 1]), r"objects\[1\].obb.axesLengths: must be 0 to 200 m"),
         (lambda d: d["objects"][1]["obb"].update(normalizedAxes=[0.5] * 9), r"objects\[1\].obb.normalizedAxes: are no three unit vectors"),
-        (lambda d: [entry.pop("obb") for entry in d["objects"]], r"objects: no element has an area"),
+        (lambda d: [entry.pop("obb") for entry in d["objects"]], r"objects: no element has an area; give the scan its mesh"),
+        (lambda d: [entry.update(label="remove") for entry in d["objects"]], r"objects: every object is marked to be removed"),
+        (
+            lambda d: d["objects"].extend([d["objects"][2] | {"label": f"wall.{k}"} for k in range(9, 40)]),
+            r"objects\[6\].obb: lies in more than 16 walls",
+        ),
     ],
 )
 def test_a_broken_annotation_is_refused(change: Callable[[dict[str, Any]], object], line: str, tmp_path: Path) -> None:
@@ -297,7 +362,7 @@ def test_an_object_without_a_box_is_left_out(tmp_path: Path) -> None:
     changed(write_multiscan_boxes(tmp_path / SCAN, boxes(), np.eye(4)), lambda d: d["objects"][-1].pop("obb"))
     reading = read(tmp_path)
     assert [group.source_id for group in reading.groups or ()] == [name for name, _, _ in boxes()][:-1]
-    assert "objects[9] (cabinet.1): has no box, left out" in reading.degradations
+    assert f"{SCAN}.annotations.json: objects[9] (cabinet.1): has no box, left out" in reading.degradations
 
 
 def test_segments_of_another_mesh_are_refused(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_pixels_of_the_room_are_those_whose_nearest_vertex_is(tmp_path: Path) ->
     assert room_pixels(world, np.zeros(has_depth.sum(), dtype=bool), [view], 0.02) == [None]
 
 
-def test_the_share_that_a_view_shows_is_of_the_surface_and_not_of_its_vertices(tmp_path: Path) -> None:
+def test_the_share_that_a_view_shows_is_of_the_surface_and_not_of_its_vertices() -> None:
     """Half of the vertices are behind what is seen; they have a third of the area."""
     view, _ = room([])
     seen = view.points()[view.depth > 0]
@@ -85,10 +85,11 @@ def test_the_share_that_a_view_shows_is_of_the_surface_and_not_of_its_vertices(t
     assert shown_share(world, areas, [view, view, away], 0.02) == pytest.approx(2 / 3), "the median"
     assert shown_share(world, areas, [away, away, view], 0.02) == 0.0
     assert shown_share(world, areas, [], 0.02) == 0.0
+    assert shown_share(world, 0 * areas, [view], 0.02) == 0.0
 
 
 def test_regions_of_the_surface_come_first_only_where_no_frame_shows_most_of_it(tmp_path: Path) -> None:
-    """A cupboard that the surface has in two halves, and a frame as one: the frame is believed where it shows more than a fifth."""
+    """A cupboard that the surface has in two halves, and a frame as one: the frame is believed where it shows more than a quarter."""
     view, owner = room([[block((0.4, 0.8, 0.9), 0.3, 0.0)]])
     reading = reading_of(tmp_path / "room", [view])
     rows, columns = np.indices(view.depth.shape)
