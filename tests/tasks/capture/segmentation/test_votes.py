@@ -89,7 +89,7 @@ def test_the_share_that_a_view_shows_is_of_the_surface_and_not_of_its_vertices()
 
 
 def test_regions_of_the_surface_come_first_only_where_no_frame_shows_most_of_it(tmp_path: Path) -> None:
-    """A cupboard that the surface has in two halves, and a frame as one: the frame is believed where it shows the whole scan, not a fifth of it."""
+    """A cupboard that the surface has in two halves, and a frame as one: the frame is right where it shows all, not a fifth."""
     view, owner = room([[block((0.4, 0.8, 0.9), 0.3, 0.0)]])
     reading = reading_of(tmp_path / "room", [view])
     rows, columns = np.indices(view.depth.shape)
