@@ -49,6 +49,7 @@ OWN = {
     "tasks/replica.py": "reads blobs of the lake",
     "tasks/robot/cart.py": "reads the scene that it just wrote",
     "tasks/views/crops.py decoded": "reads blobs of the lake",
+    "tasks/capture/storeys/folder.py _write_frames": "copies images unread, which a reader of the scan has named",
     "tasks/selection/methods/encoders.py": "reads weights that the user names; tests/tasks/selection/test_foreign_methods.py damages them",
     "tasks/calls/": "reads answers of a server; tests/tasks/calls and tests/tasks/captions damage them",
     "tasks/capture/poses/open3d": "reads answers of its own child, and there its own settings",
