@@ -201,11 +201,10 @@ def _kept(stage: Stage, job: Job, lake: Lake, outcome: Outcome) -> Outcome:
         check(values, TABLES[table].record)
         _check_owner(table, values, job)
         named.update(getattr(row, c) for row in values for c in TABLES[table].blob_columns if getattr(row, c))
-    for name in sorted(named & set(outcome.blobs)):
-        stem, _, extension = name.partition(".")
-        kept = lake.blobs.put(outcome.blobs[name], extension)
-        if kept != name:
-            raise LakeError(f"stage {stage.name}: blob {stem[:12]} does not have the content that its name says")
+    try:
+        lake.blobs.put_all({name: outcome.blobs[name] for name in sorted(named & set(outcome.blobs))})
+    except LakeError as error:
+        raise LakeError(f"stage {stage.name}: {error}") from error
     missing = [name for name in sorted(named - set(outcome.blobs)) if name not in lake.blobs]
     if missing:
         raise LakeError(f"stage {stage.name}: rows name {len(missing)} blobs that nobody made, {missing[0]} first")

@@ -196,9 +196,7 @@ def _keep(lake: Lake, outcome: Outcome, scene_id: str) -> None:
         if TABLES[table].grain == "scene" and any(row.scene_id != scene_id for row in rows):
             raise LakeError(f"{table}: rows of another scene than {scene_id}")
         named.update(getattr(row, c) for row in rows for c in TABLES[table].blob_columns if getattr(row, c))
-    for name in sorted(named):
-        if lake.blobs.put(outcome.blobs[name], name.partition(".")[2]) != name:
-            raise LakeError(f"blob {name[:12]} does not have the content that its name says")
+    lake.blobs.put_all({name: outcome.blobs[name] for name in sorted(named)})
 
 
 def _failed(lake: Lake, job: _Job, started: datetime, clock: float, error: str, kind: str) -> SceneImport:

@@ -17,7 +17,7 @@ from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Placement, Support
 from tasks.exports.bodies import gather
 from tasks.exports.config import ExportsConfig, HabitatConfig, MjcfConfig, Nav2Config, SdfConfig, UsdConfig
-from tasks.exports.files import File, write_folder
+from tasks.exports.files import Export, File, write_folder
 from tasks.exports.findings import verdicts
 from tasks.exports.format import ExportedScene
 from tasks.exports.formats import FORMATS
@@ -45,9 +45,10 @@ def run(
     blobs = Blobs()
     files: list[ExportFile] = []
     checks: list[ExportCheck] = []
-    scene = ExportedScene(replica, navmeshes, episodes, context.blobs, config)
-    for format_ in config.formats:
-        made = member(FORMATS, format_).make(scene)
+    named = {navmesh.navmesh_blob: context.blobs[navmesh.navmesh_blob] for navmesh in navmeshes}
+    scene = ExportedScene(replica, navmeshes, episodes, named, config)
+    work = [(format_, scene) for format_ in config.formats]
+    for format_, made in zip(config.formats, context.spread(_made, work), strict=True):
         passed = not any(finding.is_error for finding in made.findings)
         files += [_row(replica.scene_id, format_, file, passed, blobs) for file in made.files]
         checks += verdicts(replica.scene_id, format_, made.rules, made.findings)
@@ -56,6 +57,11 @@ def run(
         message = None if complete else f"{len(replica.bodies)} of {len(placements)} objects"
         checks.append(ExportCheck(scene_id=replica.scene_id, format=format_, rule="complete", passed=complete, message=message))
     return Outcome(export_files=files, export_checks=checks, blobs=blobs, degradations=missed)
+
+
+def _made(work: tuple[str, ExportedScene]) -> Export:
+    format_, scene = work
+    return member(FORMATS, format_).make(scene)
 
 
 def _row(scene_id: str, format_: str, file: File, passed: bool, blobs: Blobs) -> ExportFile:

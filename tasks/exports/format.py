@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class ExportedScene:
-    """What an export is made of. `blobs` are those that the rows name."""
+    """What an export is made of. blobs: Of the navmeshes."""
 
     replica: Replica
     navmeshes: Sequence[Navmesh]

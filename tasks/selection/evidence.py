@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
 from schemas.errors import InputError
 from tasks.alignment import (
+    AlignmentConfig,
     Distances,
     Fit,
     Sample,
@@ -32,7 +33,7 @@ from tasks.geometry.boxes import grown_box, oriented_iou
 from tasks.geometry.transforms import inverse, transform_points, translation, yaw_pose
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.selection.neighbors import Neighborhood, foreign_share
-from tasks.selection.scoring import completeness, is_own_geometry, score_of
+from tasks.selection.scoring import ScoreConfig, completeness, is_own_geometry, score_of
 from tasks.stage import Context
 from tasks.views.crops import Crop, crop_of, filling
 
@@ -133,7 +134,7 @@ def gather(
     captions: Sequence[Caption] = (),
     frames: Sequence[Frame] = (),
     masks: Sequence[Mask] = (),
-) -> Iterator[tuple[InstanceQuery, list[Evidence]]]:
+) -> list[tuple[InstanceQuery, list[Evidence]]]:
     """Every instance that is no structure and has a candidate that can be read, in their order, with its candidates by slot.
 
     What is left out is said in `degradations`.
@@ -143,12 +144,13 @@ def gather(
     for candidate in sorted(candidates, key=lambda c: (c.instance_id, c.slot)):
         if candidate.outcome == "filled" and candidate.asset_id is not None:
             by_instance[candidate.instance_id].append(candidate)
-    samples: dict[str, Sample | None] = {}
-    for asset_id in sorted({c.asset_id for rows in by_instance.values() for c in rows if c.asset_id}):
-        samples[asset_id] = _sample(by_asset.get(asset_id), asset_id, context, config, degradations)
+    samples = _samples(
+        sorted({c.asset_id for rows in by_instance.values() for c in rows if c.asset_id}), by_asset, context, config, degradations
+    )
     described = {row.instance_id: row for row in captions}
     views, shown = {row.frame_id: row for row in frames}, {(row.frame_id, row.instance_id): row for row in masks}
-    neighborhood = Neighborhood.of(instances, context.blobs)
+    neighborhood, score = Neighborhood.of(instances, context.blobs), config.score
+    queries: list[tuple[InstanceQuery, list[Candidate], float]] = []
     for instance in sorted(instances, key=lambda i: i.instance_id):
         if instance.is_structure:
             continue
@@ -169,7 +171,32 @@ def gather(
                 degradations.append(f"{instance.instance_id}: {error}")
         if lack := lacking(query.target, config.alignment):
             degradations.append(f"{instance.instance_id}: {lack}")
-        yield query, evidence_of(query, usable, by_asset, samples, neighborhood, config)
+        queries.append(
+            (query, usable, covered_within(query.target.diagonal, score.threshold_m, score.threshold_share, score.threshold_least_m))
+        )
+    work = [
+        _Alignment(query.target, {c.asset_id: samples[c.asset_id] for c in usable if c.asset_id is not None}, threshold, config.alignment)
+        for query, usable, threshold in queries
+    ]
+    fits = context.spread(_aligned, work)
+    return [
+        (query, evidence_of(query, usable, by_asset, samples, neighborhood, aligned, score))
+        for (query, usable, _), aligned in zip(queries, fits, strict=True)
+    ]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Alignment:
+    """An instance, and samples of the assets that are aligned to it, by id. threshold: Distance within which a point is covered [m]."""
+
+    target: ScannedInstance
+    samples: Mapping[str, Sample]
+    threshold: float
+    config: AlignmentConfig
+
+
+def _aligned(work: _Alignment) -> dict[str, tuple[Fit, Distances]]:
+    return {asset_id: align(work.target, sample, work.threshold, work.config) for asset_id, sample in work.samples.items()}
 
 
 def _with_sight(query: InstanceQuery) -> ScannedInstance:
@@ -185,31 +212,31 @@ def evidence_of(
     query: InstanceQuery,
     candidates: Sequence[Candidate],
     assets: Mapping[str, Asset],
-    samples: Mapping[str, Sample | None],
+    samples: Mapping[str, Sample],
     neighborhood: Neighborhood,
-    config: SelectionConfig,
+    fits: Mapping[str, tuple[Fit, Distances]],
+    score: ScoreConfig,
 ) -> list[Evidence]:
-    """Candidates of an instance, aligned and measured, in their order; those without samples are left out."""
-    instance, frame, target, score = query.instance, query.frame, query.target, config.score
+    """Candidates of an instance, aligned and measured, in their order. fits: Of each asset, by its id."""
+    instance, frame, target = query.instance, query.frame, query.target
     histogram = color_histogram(target.colors)
-    threshold = covered_within(target.diagonal, score.threshold_m, score.threshold_share, score.threshold_least_m)
     reach = np.array([0.5 * target.diagonal, 0.5 * target.diagonal, 0.0])
     beside = neighborhood.within(instance.instance_id, frame[:3, 3] - reach, frame[:3, 3] + reach + [0.0, 0.0, target.size[2]])
     beside, own_cubes = transform_points(beside, inverse(frame)), len(neighborhood.seen.get(instance.instance_id, ()))
-    done: dict[str, tuple[Fit, Distances, float, float, float]] = {}
+    done: dict[str, tuple[float, float, float]] = {}
     measured: list[Evidence] = []
     for candidate in candidates:
         asset_id = candidate.asset_id or ""
-        sample = samples[asset_id]
-        if sample is None:
-            continue
+        sample, (fit, distances) = samples[asset_id], fits[asset_id]
         if asset_id not in done:
-            fit, distances = align(target, sample, threshold, config.alignment)
-            color = color_similarity(histogram, color_histogram(sample.colors))
             placed, normals, _ = sample.placed(fit)
             foreign = foreign_share(beside, own_cubes, placed, normals)
-            done[asset_id] = (fit, distances, color, _placed_iou(frame, fit, sample, instance), foreign)
-        fit, distances, color, iou, foreign = done[asset_id]
+            done[asset_id] = (
+                color_similarity(histogram, color_histogram(sample.colors)),
+                _placed_iou(frame, fit, sample, instance),
+                foreign,
+            )
+        color, iou, foreign = done[asset_id]
         asset = assets[asset_id]
         own = is_own_geometry(asset, candidate.provider, score)
         complete = completeness(asset, own, score)
@@ -218,15 +245,41 @@ def evidence_of(
     return measured
 
 
-def _sample(asset: Asset | None, asset_id: str, context: Context, config: SelectionConfig, degradations: list[str]) -> Sample | None:
-    """Samples of an asset, or None and the reason among the degradations."""
+@dataclasses.dataclass(frozen=True)
+class _Sampling:
+    """An asset and what it is sampled by. mesh: Its file."""
+
+    asset: Asset
+    mesh: bytes
+    config: AlignmentConfig
+    rng: np.random.Generator
+
+
+def _sampled(work: _Sampling) -> Sample | str:
+    """Samples of an asset, or why there are none."""
     try:
-        if asset is None:
-            raise ValueError("has no row in assets")
-        return sample_asset(asset, context.blobs[asset.mesh_blob], config.alignment, context.rng("asset", asset_id))
+        return sample_asset(work.asset, work.mesh, work.config, work.rng)
     except (InputError, ValueError, KeyError) as error:
-        degradations.append(f"asset {asset_id[:12]}: left out: {error}")
-        return None
+        return str(error)
+
+
+def _samples(
+    asset_ids: Sequence[str], assets: Mapping[str, Asset], context: Context, config: SelectionConfig, degradations: list[str]
+) -> dict[str, Sample]:
+    """Samples of assets by id; those that cannot be sampled are said in `degradations`, in their order."""
+    found: dict[str, Sample | str] = {}
+    work: list[_Sampling] = []
+    for asset_id in asset_ids:
+        asset = assets.get(asset_id)
+        try:
+            if asset is None:
+                raise ValueError("has no row in assets")
+            work.append(_Sampling(asset, context.blobs[asset.mesh_blob], config.alignment, context.rng("asset", asset_id)))
+        except (InputError, ValueError, KeyError) as error:
+            found[asset_id] = str(error)
+    found |= {each.asset.asset_id: made for each, made in zip(work, context.spread(_sampled, work), strict=True)}
+    degradations += [f"asset {name[:12]}: left out: {why}" for name in asset_ids if isinstance(why := found[name], str)]
+    return {name: made for name in asset_ids if isinstance(made := found[name], Sample)}
 
 
 def _placed_iou(frame: Array, fit: Fit, sample: Sample, instance: Instance) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import hashlib
 import json
 import os
 import pickle
@@ -497,6 +498,33 @@ def test_damaged_staged_run_is_lost_and_stops_nobody(lake: Lake) -> None:
     assert set(names_of(lake, "candidates", "scene_id")) == {C}, "what read the lost rows is not taken either"
     lake.sweep()
     assert files(Path(lake.address), "staged") == set()
+
+
+def test_many_blobs_are_kept_as_one_by_one_and_none_under_a_false_name(lake: Lake) -> None:
+    blobs = {f"{hashlib.sha256(data).hexdigest()}.bin": data for data in (str(k).encode() * 100 for k in range(300))}
+    lake.blobs.put_all({})
+    assert not lake.exists, "nothing was written"
+    lake.blobs.put_all(blobs)
+    assert set(lake.blobs) == set(blobs)
+    assert all(lake.blobs[name] == data for name, data in blobs.items())
+    lake.blobs.put_all(blobs)
+    false = f"{hashlib.sha256(b'said').hexdigest()}.bin"
+    with pytest.raises(LakeError, match="does not have the content"):
+        lake.blobs.put_all({false: b"meant"})
+    assert false not in lake.blobs
+
+
+def test_one_blob_of_many_that_cannot_be_kept_is_told(lake: Lake) -> None:
+    blobs = {f"{hashlib.sha256(data).hexdigest()}.bin": data for data in (b"one", b"two", b"three")}
+    in_the_way = Path(lake.address) / "blobs" / min(blobs)[:2]
+    lake.blobs.put(b"first", "bin")
+    assert not in_the_way.exists()
+    in_the_way.write_bytes(b"")
+    with pytest.raises((OSError, InputError)):
+        lake.blobs.put_all(blobs)
+    in_the_way.unlink()
+    lake.blobs.put_all(blobs)
+    assert set(lake.blobs) > set(blobs)
 
 
 def test_blobs_are_written_once_and_checked(lake: Lake) -> None:

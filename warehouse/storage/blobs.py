@@ -5,15 +5,19 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from schemas.errors import InputError
+from schemas.errors import InputError, LakeError
 from schemas.record import BLOB_PATTERN
 from warehouse.storage.files import Storage
 
 FOLDER = "blobs"
 
 _FRESH_SECONDS = 3600.0
+
+_WRITERS = 8
+"""Threads that wait for the store at a time: the syncs of files on one disk are one, and a store over the network answers each by itself."""
 
 
 class BlobStore(Mapping[str, bytes]):
@@ -26,13 +30,32 @@ class BlobStore(Mapping[str, bytes]):
     def put(self, data: bytes, extension: str) -> str:
         """Keep `data` and return its name. Written once, whole or not at all."""
         name = f"{hashlib.sha256(data).hexdigest()}.{extension}"
+        self._keep(name, data)
+        return name
+
+    def put_all(self, blobs: Mapping[str, bytes]) -> None:
+        """Keep many blobs under the names that they have, several at a time.
+
+        Raises:
+            LakeError: one has another content than its name says; the others may have been kept.
+        """
+        for name, data in blobs.items():
+            if not _hash_matches(data, name):
+                raise LakeError(f"blob {name[:12]} does not have the content that its name says")
+        if blobs:
+            self._prepare()
+        with ThreadPoolExecutor(_WRITERS, thread_name_prefix="blobs") as writers:
+            done = [writers.submit(self._keep, name, data) for name, data in blobs.items()]
+        for one in done:
+            one.result()
+
+    def _keep(self, name: str, data: bytes) -> None:
         path = _path(name)
         # Refreshed even when it is there, so that a vacuum does not take it for garbage before a row names it.
         if not self._storage.refresh(path, _FRESH_SECONDS):
             self._prepare()
             self._storage.write(path, data)
         self._known.add(name)
-        return name
 
     def refresh(self, name: str) -> bool:
         """Whether a blob is there; if so, it counts as put now, so that a vacuum does not take it before a row names it."""

@@ -202,9 +202,7 @@ class _Scene:
         for table, rows in outcome.rows.items():
             check(rows, TABLES[table].record)
             named.update(getattr(row, c) for row in rows for c in TABLES[table].blob_columns if getattr(row, c))
-        for name in sorted(named & set(outcome.blobs)):
-            if self._lake.blobs.put(outcome.blobs[name], name.partition(".")[2]) != name:
-                raise LakeError(f"blob {name[:12]} does not have the content that its name says")
+        self._lake.blobs.put_all({name: outcome.blobs[name] for name in sorted(named & set(outcome.blobs))})
 
     def _stage(self, job: Job, outcome: Outcome, started: datetime, seconds: float) -> None:
         run = dataclasses.replace(_run(job, None, None, started, seconds), degradations=outcome.degradations)

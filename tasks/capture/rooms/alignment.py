@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.capture.rooms.sharpness import sharpness
 from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import flat, matrix, translation, yaw_pose
 from tasks.geometry.triangles import face_areas
@@ -24,9 +25,6 @@ _BELOW_SHARE = 0.03
 
 _ENOUGH_FACES = 150_000
 """Faces that the estimate is made of: a room's floor still has some ten thousand."""
-
-_LINE_M = 0.02
-"""Width of a bin across a wall: the noise of its fused surface."""
 
 _IDENTITY_YAW = np.deg2rad(1.0)
 _IDENTITY_SHIFT_M = 0.02
@@ -266,29 +264,8 @@ def dominant_yaw(faces: Facets) -> float | None:
     best = peak
     for span, step in ((6.0, 0.5), (0.5, 0.1), (0.1, 0.02)):
         turns = best + np.deg2rad(np.arange(-span, span + step / 2, step))
-        best = float(turns[int(np.argmax([_sharpness(plan, sides, weights, turn) for turn in turns]))])
+        best = float(turns[int(np.argmax(sharpness(plan, sides, weights, turns)))])
     return float((best + np.pi / 4) % (np.pi / 2) - np.pi / 4)
-
-
-def _sharpness(plan: Array, sides: Array, weights: Array, turn: float) -> float:
-    """How much upright surface gathers on few lines at a turn [rad]: sum of squares of its histograms along both axes.
-
-    plan: Positions on the floor [m], shape (n, 2). sides: Normals, shape (n, 2); a point counts for the axis it faces.
-    """
-    total = 0.0
-    for angle in (turn, turn + np.pi / 2):
-        direction = np.array([np.cos(angle), np.sin(angle)])
-        facing = np.abs(sides @ direction) > 0.8
-        if facing.any():
-            offset = plan[facing] @ direction / _LINE_M
-            low = np.floor(offset.min())
-            place = np.floor(offset - low).astype(np.int64)
-            # Shared between two neighboring bins, so that the measure does not jump where a wall crosses a border.
-            share = offset - low - place
-            mass = np.bincount(place, weights[facing] * (1 - share), minlength=int(place.max()) + 2)
-            mass += np.bincount(place + 1, weights[facing] * share, minlength=int(place.max()) + 2)
-            total += float((mass**2).sum())
-    return total
 
 
 def rotation_to_z(up: Array) -> Array:

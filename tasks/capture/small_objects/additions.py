@@ -124,16 +124,21 @@ def with_small_objects(
         why = "no frame has a pose and depth" if not chosen else "no frame can be read"
         return dataclasses.replace(plain, notes=(*problems, f"small objects were not looked for: {why}"))
     objects: list[FoundObject] = []
-    for done, support in enumerate(supports):
-        best = _best_views(support, views, config.views)
-        if isinstance(config.provider, LearnedConfig):
+    if isinstance(config.provider, LearnedConfig):
+        for done, support in enumerate(supports):
+            best = _best_views(support, views, config.views)
             shown = [frames[posed[name]] for name in best]
             seen = objects_on(support, shown, alignment, networks_of(config.provider), context, config.provider)
             objects += seen.objects
             problems += [f"{support.instance_id} {support.category}: {problem}" for problem in seen.problems]
-        else:
-            objects += _classical_objects(support, [views[name] for name in best], config.provider, config.naming)
-        context.report(done + 1, len(supports), support.instance_id)
+            context.report(done + 1, len(supports), support.instance_id)
+    else:
+        work = [
+            _Looking(support, [views[name] for name in _best_views(support, views, config.views)], config.provider, config.naming)
+            for support in supports
+        ]
+        objects += [each for part in context.spread(_classical_objects, work) for each in part]
+        context.report(len(supports), len(supports), supports[-1].instance_id)
     existing = [
         ExistingInstance(f"{number:04d}", solid.points, label.is_structure)
         for number, (label, solid) in enumerate(zip(meanings, solids, strict=True))
@@ -178,12 +183,21 @@ def _best_views(support: CarryingInstance, views: Mapping[str, DepthView], most:
     return sorted(best[:most])
 
 
-def _classical_objects(
-    support: CarryingInstance, views: Sequence[DepthView], config: ClassicalConfig, naming: NamingConfig
-) -> list[FoundObject]:
+@dataclasses.dataclass(frozen=True)
+class _Looking:
+    """A support and the frames that show most of it, for the classical member."""
+
+    support: CarryingInstance
+    views: Sequence[DepthView]
+    config: ClassicalConfig
+    naming: NamingConfig
+
+
+def _classical_objects(work: _Looking) -> list[FoundObject]:
     """What frames have on a support as the classical member sees it, named by size."""
-    seen = found_objects(views, support.slabs, config)
-    names = [name_by_size(each.points, board_of(each.points, support.slabs).height, naming) for each in seen.instances]
+    support, config = work.support, work.config
+    seen = found_objects(work.views, support.slabs, config)
+    names = [name_by_size(each.points, board_of(each.points, support.slabs).height, work.naming) for each in seen.instances]
     return [
         found_object(instance, seen.frames, name.category, name.probability, config.kind, support.instance_id)
         for instance, name in zip(seen.instances, names, strict=True)

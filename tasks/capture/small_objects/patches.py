@@ -188,9 +188,9 @@ def _patches(stands: Bools, hollow: Bools, tint: Array, steps: list[Bools], conf
 
 def _sizable(label: Indices, least: int) -> Indices:
     """Labels of an image, numbered from 0, without those of too few pixels; -1 is none."""
-    named, dense, sizes = np.unique(label, return_inverse=True, return_counts=True)
-    kept = (named >= 0) & (sizes >= least)
-    return np.asarray(np.where(kept, np.cumsum(kept) - 1, -1)[dense].reshape(label.shape), dtype=np.int64)
+    kept = np.bincount(label.ravel() + 1, minlength=1) >= max(least, 1)
+    kept[0] = False
+    return np.asarray(np.where(kept, np.cumsum(kept) - 1, -1)[label + 1], dtype=np.int64)
 
 
 def _grown(patch: Indices, stands: Bools, steps: list[Bools]) -> Indices:
@@ -219,11 +219,18 @@ def _borders(patch: Indices, hollow: Bools, steps: list[Bools], config: PatchCon
         a, b = patch[here][touch], patch[there][touch]
         rows.append(np.stack([np.minimum(a, b), np.maximum(a, b), (near_hollow[here] | near_hollow[there])[touch]], axis=1))
     table = np.concatenate(rows)
-    pairs, inverse = np.unique(table[:, :2], axis=0, return_inverse=True)
+    pairs, inverse = _pairs(table[:, 0], table[:, 1])
     length = np.bincount(inverse, minlength=len(pairs)).astype(np.float64)
     hollows = np.bincount(inverse, table[:, 2], len(pairs)) / np.maximum(length, 1)
     kept = length >= config.least_contact
     return _Border(pairs[kept, 0], pairs[kept, 1], length[kept], hollows[kept])
+
+
+def _pairs(first: Indices, second: Indices) -> tuple[Indices, Indices]:
+    """Different pairs of numbers from 0, sorted, shape (n, 2), and which of them each pair is, shape (k,)."""
+    base = int(second.max(initial=0)) + 1
+    keys, inverse = np.unique(first * base + second, return_inverse=True)
+    return np.stack(np.divmod(keys, base), axis=1), inverse
 
 
 def _grounded(pixels: BoardPixels, patch: Indices, count: int, steps: list[Bools], config: PatchConfig) -> Bools:
@@ -278,7 +285,7 @@ def _carry(group: Indices, grounded: Bools, border: _Border) -> None:
         if not loose.any():
             return
         low, high = np.minimum(a, b)[loose], np.maximum(a, b)[loose]
-        pairs, inverse = np.unique(np.stack([low, high], axis=1), axis=0, return_inverse=True)
+        pairs, inverse = _pairs(low, high)
         total = np.bincount(inverse, weight[loose])
         best = int(np.lexsort((pairs[:, 1], pairs[:, 0], -total))[0])
         _unite(group, grounded, int(pairs[best, 0]), int(pairs[best, 1]))
@@ -294,7 +301,9 @@ def _plans(points: Array, patch: Indices, count: int, config: PatchConfig) -> li
     plans = []
     for index in range(count):
         own = flat[start[index] : start[index + 1], :2]
-        plans.append(own[np.unique(np.floor(own / cell).astype(np.int64), axis=0, return_index=True)[1]])
+        cells = np.floor(own / cell).astype(np.int64)
+        cells -= cells.min(axis=0, initial=0)
+        plans.append(own[np.unique(cells[:, 0] * (cells[:, 1].max(initial=0) + 1) + cells[:, 1], return_index=True)[1]])
     return plans
 
 
