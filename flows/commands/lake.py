@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from flows.commands.options import existing_lake, json_option, lake_option
 from flows.progress import Progress
+from schemas.wording import meant
 
 if TYPE_CHECKING:
     from warehouse.upkeep.erasure import Erasure, Traces
@@ -164,12 +166,15 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
                 waiting = [*late.scenes, *(name for name in waiting if name not in late.scenes)]
     if dry_run:
         drafts.append(erase_drafts(lake, done.traces, dry_run=True))
-    _tell_erased(done, also, sum(cached), sum(drafts), dry_run, as_json)
+    known = lake.snapshot().matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist()
+    _tell_erased(done, also, sum(cached), sum(drafts), dry_run, as_json, known)
     if done.proof is not None and (done.proof.hits or done.young_blobs):
         raise click.exceptions.Exit(1)
 
 
-def _tell_erased(done: Erasure, also: tuple[str, ...], cached: int, drafts: int, dry_run: bool, as_json: bool) -> None:
+def _tell_erased(
+    done: Erasure, also: tuple[str, ...], cached: int, drafts: int, dry_run: bool, as_json: bool, known: Sequence[str]
+) -> None:
     if as_json:
         shown: dict[str, Any] = {
             "scene_id": done.scene_id, "dry_run": dry_run, "rows": dict(done.rows), "staged_runs": done.staged_runs, "blobs": done.blobs,
@@ -185,7 +190,7 @@ def _tell_erased(done: Erasure, also: tuple[str, ...], cached: int, drafts: int,
     for table, count in done.rows.items():
         print(f"{table:<22} {count} rows {verb}")
     if not (sum(done.rows.values()) or done.staged_runs or done.blobs or done.releases or drafts):
-        print(f"nothing in the lake names {done.scene_id}")
+        print("; ".join(filter(None, (f"nothing in the lake names {done.scene_id}", meant(done.scene_id, known).strip()))))
     print(f"{done.staged_runs} staged runs and {done.blobs} blobs {verb}, and {cached} files and entries of this machine's caches")
     if drafts:
         print(f"{drafts} drafts of annotators {verb}")

@@ -25,7 +25,7 @@ def grouped(*options: Callable[[F], F]) -> Callable[[F], F]:
 
 
 lake_option = click.option(
-    "--lake", "address", envvar="METASCENES_LAKE", default="lake", show_default=True, metavar="ADDRESS",
+    "--lake", "address", envvar="METASCENES_LAKE", show_envvar=True, default="lake", show_default=True, metavar="ADDRESS",
     help="Folder of the lake, or s3://bucket/prefix.",
 )  # fmt: skip
 """`--lake ADDRESS`: a folder or s3://bucket/prefix; METASCENES_LAKE, else ./lake."""

@@ -25,6 +25,7 @@ from schemas.capture import Instance, Shell
 from schemas.errors import InputError
 from schemas.optimization import Certificate
 from schemas.selection import Selection
+from schemas.wording import meant
 from tasks.annotation import SCHEMA_FILE, BatchActs
 from tasks.annotation.picking import assigned, doubts, picked
 from tasks.annotation.revisions import latest
@@ -130,7 +131,8 @@ def _planned(reader: Reader, plan: BatchPlan, again: bool, configuration: Config
     instances: list[Instance] = _rows(reader, Instance, plan.scenes)
     unknown = sorted(set(plan.scenes) - {row.scene_id for row in instances})
     if unknown:
-        raise InputError("--scene", unknown[0], "is not in the lake", "`metascenes status` names its scenes")
+        known = reader.matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist()
+        raise InputError("--scene", unknown[0], "is not in the lake", f"{meant(unknown[0], known)}`metascenes scenes` names its scenes")
     by_batch: dict[str, list[Annotation]] = {}
     for answer in _rows(reader, Annotation, plan.scenes):
         by_batch.setdefault(answer.batch_id, []).append(answer)

@@ -103,6 +103,9 @@ def test_help_and_version_answer_without_the_heavy_packages() -> None:
     ("arguments", "named"),
     [
         (["nosuch"], "nosuch"),
+        (["staus"], "Did you mean 'status'?"),
+        (["lake", "vacum"], "Did you mean 'vacuum'?"),
+        (["run", "--scan", "x"], "--scans"),
         (["status", "--nosuch"], "--nosuch"),
         (["run"], "--scans"),
         (["run", "--scans", "x", "--format", "nosuch"], "nosuch"),
