@@ -8,9 +8,12 @@ import importlib
 import os
 import sys
 import traceback
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 COMMANDS = {
     "demo": "Make raw scans of furnished rooms and turn them into replica scenes.",
@@ -62,10 +65,17 @@ class LazyGroup(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         """The command that is meant by the first word; a mistyped one is told what it is near to."""
-        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+        if args and args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
             close = difflib.get_close_matches(args[0].lower(), COMMANDS, n=1)
             ctx.fail(f"No such command '{args[0]}'." + (f" Did you mean '{close[0]}'?" if close else ""))
         return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Commands that a word may become, without importing them, and options."""
+        from click.shell_completion import CompletionItem
+
+        named = [CompletionItem(name, help=text) for name, text in COMMANDS.items() if name.startswith(incomplete)]
+        return named + click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list of commands in `--help`, without importing them."""
@@ -83,6 +93,9 @@ EXIT_CODES = {
     143: "terminated",
 }
 """What a shell or a scheduler is told at the end, of every command."""
+
+COMPLETE = "_METASCENES_COMPLETE"
+"""Names what a shell wants that completes a line: click's own protocol."""
 
 _HELP = f"""The scene lake: scans of real rooms in, replica scenes that simulators load out.
 
@@ -104,7 +117,8 @@ def main() -> None:
     """Entry point. It ends with one of EXIT_CODES."""
     from flows.terminal import guarded
 
-    with guarded():
+    # A shell that completes a line takes click's bytes as they are.
+    with guarded() if COMPLETE not in os.environ else contextlib.nullcontext():
         _main()
 
 

@@ -111,8 +111,10 @@ def _refused_apart(crons: Mapping[str, str]) -> str | None:
     code = "import json, sys; from flows.server.deployments import refused_cron; print(refused_cron(json.load(sys.stdin)) or '')"
     environment = {**NO_TELEMETRY, **os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     asked = subprocess.run([sys.executable, "-c", code], input=json.dumps(crons), env=environment, capture_output=True, text=True)
-    said = asked.stdout.split()  # a library may say something before
-    return said[-1] if asked.returncode == 0 and said and said[-1] in crons else None  # what else went wrong the server's set-up will say
+    printed = asked.stdout.split()  # a library may say something before
+    return (
+        printed[-1] if asked.returncode == 0 and printed and printed[-1] in crons else None
+    )  # what else went wrong the server's set-up will say
 
 
 def lake_name(address: str) -> str:

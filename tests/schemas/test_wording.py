@@ -17,7 +17,7 @@ NAMES = st.lists(st.from_regex(r"[a-z]{6,12}", fullmatch=True), unique=True, min
         ((0, "scene"), "0 scenes"),
         ((1, "scene"), "1 scene"),
         ((2, "scene"), "2 scenes"),
-        ((1234567, "row"), "1,234,567 rows"),
+        ((1500, "row"), "1500 rows"),
         ((1, "scene is", "scenes are"), "1 scene is"),
         ((0, "scene is", "scenes are"), "0 scenes are"),
         ((1, "entry", "entries"), "1 entry"),

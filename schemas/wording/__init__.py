@@ -12,9 +12,14 @@ _MOST_COMPARED = 10_000
 """Names that a mistyped one is held against: half a second's worth."""
 
 
-def counted(count: int, one: str, several: str = "") -> str:
-    """A count and what is counted: ``1 scene``, ``1,000 scenes``, with `several` where that is not `one` and an s (``2 scenes are``)."""
-    return f"{count:,} {one if count == 1 else several or f'{one}s'}"
+def counted(count: int, single: str, several: str = "") -> str:
+    """A count and what is counted: ``1 scene``, ``2 scenes``."""
+    return f"{count} {noun(count, single, several)}"
+
+
+def noun(count: int, single: str, several: str = "") -> str:
+    """What is counted, for so many: `single`, or `several`, which is `single` and an s where nothing is said."""
+    return single if count == 1 else several or f"{single}s"
 
 
 def meant(word: str, known: Iterable[str]) -> str:
