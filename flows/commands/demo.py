@@ -11,6 +11,7 @@ import click
 
 from flows.commands.options import json_option, workers_option
 from schemas.families.policies import POLICIES
+from schemas.wording import counted
 
 
 @click.command("demo", short_help="Make raw scans of furnished rooms and turn them into replica scenes.")
@@ -60,8 +61,8 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     else:
         print(stage_table(lake.snapshot()))
         print()
-        scans = f"{made} scans made in {scanned:.1f} s" if made else "scans are up to date"
-        exported = f"{written.files} files exported, {written.failed_checks} checks failed"
+        scans = f"{counted(made, 'scan')} made in {scanned:.1f} s" if made else "scans are up to date"
+        exported = f"{counted(written.files, 'file')} exported, {counted(written.failed_checks, 'check')} failed"
         print(f"{scans}; {report_line(report)} in {replicated:.1f} s; {exported}; {time.perf_counter() - clock:.1f} s in all")
         print()
         for name, place in places.items():

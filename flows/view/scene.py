@@ -22,7 +22,7 @@ from schemas.fidelity import Fidelity, SceneFidelity
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Certificate, Contact, Optimization, Placement, Support
 from schemas.selection import Selection
-from schemas.wording import meant
+from schemas.wording import counted, meant, noun
 from warehouse.lake import Lake
 
 Document = dict[str, Any]
@@ -237,15 +237,26 @@ def _room(row: Shell) -> Document:
 
 def _facts(scene: Scene, shells: list[Shell], optimizations: list[Optimization], fidelity: list[SceneFidelity]) -> list[list[str]]:
     facts = [["dataset", scene.dataset], ["format", scene.scan_format], ["license", scene.license or "not stated"]]
-    facts += [["scan", f"{scene.vertex_count:,} vertices, {scene.face_count:,} faces, {scene.frame_count:,} frames"]]
+    facts += [
+        [
+            "scan",
+            (
+                f"{scene.vertex_count:,} {noun(scene.vertex_count, 'vertex', 'vertices')}, {scene.face_count:,} "
+                f"{noun(scene.face_count, 'face')}, {scene.frame_count:,} {noun(scene.frame_count, 'frame')}"
+            ),
+        ]
+    ]
     facts += [["room", f"{row.room_type}, {row.floor_area_m2:.1f} m², {row.height_m:.2f} m high"] for row in shells]
     for optimized in optimizations:
         facts.append(["objects", f"{optimized.object_count} placed, {optimized.fixed_count} fastened"])
-        facts.append(["overlaps", f"{optimized.deep_pairs} pairs deeper than 2 mm"])
+        facts.append(["overlaps", f"{counted(optimized.deep_pairs, 'pair')} deeper than 2 mm"])
         facts.append(
             [
                 "optimization",
-                f"{optimized.method}, {optimized.moves:,} moves, loss {optimized.loss_start:.3f} to {optimized.loss_final:.3f}",
+                (
+                    f"{optimized.method}, {optimized.moves:,} {noun(optimized.moves, 'move')}, "
+                    f"loss {optimized.loss_start:.3f} to {optimized.loss_final:.3f}"
+                ),
             ]
         )
     for row in fidelity:

@@ -93,9 +93,13 @@ def blob_findings(
                     yield Fault("content", path, "", "the content differs from the name", _RESTORE)
             advance("blobs")
     if lost > _MOST_NAMED:
-        yield Fault("blob", BLOB_FOLDER, "", f"{lost - _MOST_NAMED} more blobs are missing, which rows name", _RESTORE)
+        yield Fault(
+            "blob", BLOB_FOLDER, "", f"{counted(lost - _MOST_NAMED, 'more blob is', 'more blobs are')} missing, which rows name", _RESTORE
+        )
     if orphans:
-        yield Fault("unnamed blob", orphans[0], "", f"nobody names it, nor {len(orphans) - 1} more blobs ({size} B)", _VACUUM, False)
+        yield Fault(
+            "unnamed blob", orphans[0], "", f"nobody names it, nor {counted(len(orphans) - 1, 'more blob')} ({size} B)", _VACUUM, False
+        )
 
 
 def release_findings(lake: Lake, snapshots: Sequence[Snapshot], only: str | None, quick: bool) -> Iterator[Fault]:
