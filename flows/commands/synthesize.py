@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flows.commands.options import end_with_failures, grouped, json_option, lake_option, workers_option
-from schemas.wording import counted, noun
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from flows.inputs.synthesis import SceneSynthesis, Synthesized
@@ -103,10 +103,7 @@ def _as_text(result: Synthesized, dry_run: bool) -> str:
     if objects:
         shares = (100 * sum(values) / objects for values in ([done.proposed for done in made], [done.settled for done in made]))
         as_drawn, settled = (f"{share:.0f} %" for share in shares)
-        lines.append(
-            f"{counted(objects, 'object')}: {as_drawn} {noun(as_drawn, 'stays', 'stay')} "
-            f"within 1 cm where they were drawn, {settled} where they were put"
-        )
+        lines.append(f"{counted(objects, 'object')}: {as_drawn} stay within 1 cm where they were drawn, {settled} where they were put")
     return "\n".join(lines)
 
 

@@ -60,8 +60,8 @@ class Shipment:
         objects = [entry for entry in self.left_out if entry.instance_id is not None]
         lines = ["# What was left out", "", f"Allowed licenses: {', '.join(allowed.names)}.", ""]
         lines += [f"{counted(len(scenes), 'scene')}, {counted(len(objects), 'object')} in "
-                  f"{counted(len(self.kept), 'other scene')}, and {self.episodes} navigation"
-                  " episodes whose target is one of these objects.", ""]  # fmt: skip
+                  f"{counted(len(self.kept), 'other scene')}, and {counted(self.episodes, 'navigation episode')} "
+                  "whose target is one of these objects.", ""]  # fmt: skip
         if self.kept:
             lines += ["Scenes without some of their objects were made again from the rest and checked again. What stood on or in an object",
                       "that was left out is left out too: it would hang in the air. The navmesh is the one of the whole scene: where such",

@@ -130,7 +130,7 @@ def _placed(
                 "collider",
                 (
                     f"{number(row.collider_pieces)} {noun(row.collider_pieces, 'convex piece')}, "
-                    f"{number(row.collider_faces)} {noun(row.collider_faces, 'face')}"
+                    f"{number(row.collider_faces)} {noun(row.collider_faces or 0, 'face')}"
                 ),
             ]
         )

@@ -58,8 +58,8 @@ class RowChecks:
         counts += [f"count({quoted(column)})" for column in known] if thorough else []
         if not counts:
             return
-        counted = self._connection.execute(f"SELECT {', '.join(counts)} FROM {self._relations[name]}").fetchall()[0]
-        for (column, rule, sql), count in zip(rules, counted, strict=False):
+        broken_rows = self._connection.execute(f"SELECT {', '.join(counts)} FROM {self._relations[name]}").fetchall()[0]
+        for (column, rule, sql), count in zip(rules, broken_rows, strict=False):
             if count:
                 problem = f"{counted(count, 'row')}: {rule}, {self._first(table, sql)} first"
                 yield Fault("rule", f"tables/{name}", column.name, problem, _RERUN)
