@@ -69,7 +69,7 @@ def command(
 ) -> None:
     """Ask the lake a question in SQL. Only statements that read are let through. A STATEMENT of - is read from standard input.
 
-    Without a STATEMENT, a terminal shows a prompt: Tab completes, the history is kept, \\? lists what else it understands. From what
+    Without a STATEMENT, a terminal shows a prompt: Tab completes, the history is kept, `\\?` lists what else it understands. From what
     is no terminal, statements that end with a semicolon are read, and answered up to the first error.
 
     Example: metascenes sql "SELECT category, count(*) FROM instances WHERE NOT is_structure GROUP BY ALL"
