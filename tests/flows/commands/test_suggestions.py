@@ -76,6 +76,13 @@ def test_a_mistyped_scan_of_a_run_is_told_which_was_meant(tmp_path: Path) -> Non
             chosen(scans, scenes=[word])
 
 
+def test_a_mistyped_part_of_a_benchmark_is_told_which_was_meant(capsys: pytest.CaptureFixture[str]) -> None:
+    code, text = said(capsys, "bench", "capture", "--parts", "storys")
+    assert code == 2
+    assert "'storys' is none of" in text
+    assert "did you mean storeys?" in text
+
+
 def test_help_names_the_variable_of_the_lake_and_every_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
     code, text = said(capsys, "--help")
     assert code == 0
