@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import importlib
 import os
 import sys
 import traceback
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 COMMANDS = {
     "demo": "Make raw scans of furnished rooms and turn them into replica scenes.",
@@ -17,6 +21,7 @@ COMMANDS = {
     "watch": "Turn new and changed scans into replica scenes as they arrive.",
     "scan": "Scan a furnished GLB scene with the virtual scanner.",
     "storeys": "Divide scans of several floors into a scan of each.",
+    "scenes": "List the scenes of a lake: what each is, how far it has come, how much of it stands.",
     "sql": "Ask the lake a question in SQL; reads only.",
     "explain": "Say what an object, a scene, an asset, a model or a file was made from.",
     "view": "Show scenes in the browser: scan, replica, and all that is known of each object.",
@@ -58,27 +63,62 @@ class LazyGroup(click.Group):
         command: click.Command = importlib.import_module(f"flows.commands.{MODULES.get(cmd_name, cmd_name)}").command
         return command
 
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that is meant by the first word; a mistyped one is told what it is near to."""
+        if args and args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
+            close = difflib.get_close_matches(args[0].lower(), COMMANDS, n=1)
+            ctx.fail(f"No such command '{args[0]}'." + (f" Did you mean '{close[0]}'?" if close else ""))
+        return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Commands that a word may become, without importing them, and options."""
+        from click.shell_completion import CompletionItem
+
+        named = [CompletionItem(name, help=text) for name, text in COMMANDS.items() if name.startswith(incomplete)]
+        return named + click.Command.shell_complete(self, ctx, incomplete)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list of commands in `--help`, without importing them."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+EXIT_CODES = {
+    0: "done",
+    1: "some scenes failed or something is not as it should be",
+    2: "misuse or input that cannot be used",
+    3: "a defect",
+    130: "interrupted",
+    141: "nobody reads on",
+    143: "terminated",
+}
+"""What a shell or a scheduler is told at the end, of every command."""
+
+COMPLETE = "_METASCENES_COMPLETE"
+"""Names what a shell wants that completes a line: click's own protocol."""
+
+_HELP = f"""The scene lake: scans of real rooms in, replica scenes that simulators load out.
+
+The environment variable METASCENES_LAKE names the lake of every command that is given no --lake.
+
+Exit codes: {", ".join(f"{code} {text}" for code, text in EXIT_CODES.items())}.
+
+Example: metascenes run --scans ./scans --lake ./lake
+"""
+
+
+@click.group(cls=LazyGroup, help=_HELP, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="metascenes")
 def cli() -> None:
-    """The scene lake: scans of real rooms in, replica scenes that simulators load out.
-
-    Example: metascenes run --scans ./scans --lake ./lake
-    """
+    """All commands."""
 
 
 def main() -> None:
-    """Entry point. Exit codes: 0 done, 1 some scenes failed, 2 misuse or input that cannot be used, 3 a defect of ours,
-    130 interrupted, 141 nobody reads on, 143 terminated."""
+    """Entry point. It ends with one of EXIT_CODES."""
     from flows.terminal import guarded
 
-    with guarded():
+    # A shell that completes a line takes click's bytes as they are.
+    with guarded() if COMPLETE not in os.environ else contextlib.nullcontext():
         _main()
 
 

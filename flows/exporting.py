@@ -17,6 +17,7 @@ from flows.run.patience import patiently
 from flows.server.artifacts import artifact_key, run_log, short_name
 from schemas.errors import InputError
 from schemas.families.export_formats import EXPORT_FORMATS
+from schemas.wording import counted
 from warehouse.lake import Lake
 from warehouse.release.licenses import Allowed
 
@@ -78,7 +79,7 @@ def export(
         )
     )
     left_out = list(left_out_lines(written.shipment)) if written.shipment is not None else []
-    text = f"{written.files} files below {place}; {written.failed_checks} checks failed"
+    text = f"{counted(written.files, 'file')} below {place}; {counted(written.failed_checks, 'check')} failed"
     run_log(text)
     for line in (*left_out, *written.notes[:SHOWN], *written.problems[:SHOWN]):
         run_log(line, warning=True)

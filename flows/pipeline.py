@@ -41,6 +41,7 @@ from flows.run.scene import STAGE_SECONDS, SceneResult, settle
 from flows.scans.choice import found_scans, settled
 from flows.server.artifacts import Board, committed, flow_run_name, run_log, task_run_name
 from schemas.runs import StageRun
+from schemas.wording import counted
 from warehouse.lake import Lake
 
 # Prefect prints a traceback for every line that its server does not take; the board says once that it is away.
@@ -71,7 +72,7 @@ class Results(list[SceneResult]):
     """Results of a task's scenes. Prefect writes what a failed task returns into its log: the message there says enough."""
 
     def __repr__(self) -> str:
-        return f"results of {len(self)} scenes"
+        return f"results of {counted(len(self), 'scene')}"
 
 
 @task(name="stage", task_run_name="{name}", persist_result=False, cache_policy=NO_CACHE)
@@ -290,9 +291,9 @@ def replicate(
 def state_of(report: RunReport) -> State[Any]:
     """How a run ends in Prefect: failed where a scene failed anew, or was not begun."""
     anew = [line for line in report.failures if line not in report.known]
-    parts = [f"{len(report.done)} scenes done", f"{len(report.unchanged) + len(report.shared)} up to date"]
+    parts = [f"{counted(len(report.done), 'scene')} done", f"{len(report.unchanged) + len(report.shared)} up to date"]
     if report.same:
-        parts.append(f"{len(report.same)} scans known under another name")
+        parts.append(f"{counted(len(report.same), 'scan')} known under another name")
     if report.known:
         parts.append(f"{len(report.known)} failed before")
     if anew:

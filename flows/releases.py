@@ -10,6 +10,7 @@ from prefect.states import Completed, State
 from flows.run.parameters import Address
 from flows.run.patience import patiently
 from flows.server.artifacts import run_log, short_name
+from schemas.wording import noun
 from warehouse.lake import Lake
 from warehouse.release import make_release, planned_release
 from warehouse.tables.released import folder_of
@@ -39,9 +40,11 @@ def release(lake: Address, name: str | None = None, notes: str = "", snapshot: i
     name = name or _dated()
     if dry_run:
         snapshot_id, counts = planned_release(store, name, snapshot, notes)
-        return _completed(f"would release snapshot {snapshot_id} as {name}: {counts['scenes']:,} scenes")
+        return _completed(f"would release snapshot {snapshot_id} as {name}: {counts['scenes']:,} {noun(counts['scenes'], 'scene')}")
     made = patiently(lambda: make_release(store, name, snapshot, notes))
-    return _completed(f"released snapshot {made.snapshot_id} as {name}: {made.scenes:,} scenes in {store.address}/{folder_of(name)}")
+    return _completed(
+        f"released snapshot {made.snapshot_id} as {name}: {made.scenes:,} {noun(made.scenes, 'scene')} in {store.address}/{folder_of(name)}"
+    )
 
 
 def _dated() -> str:

@@ -11,6 +11,7 @@ from flows.run.parameters import Address
 from flows.run.patience import patiently
 from flows.server.artifacts import run_log, short_name
 from schemas.errors import InputError
+from schemas.wording import counted
 from warehouse.lake import Lake
 from warehouse.upkeep.compaction import compact
 from warehouse.upkeep.vacuum import vacuum
@@ -42,9 +43,15 @@ def upkeep(lake: Address, days: float = 7.0, compacts: bool = True, dry_run: boo
     parts = []
     if compacts:
         done = patiently(lambda: compact(store, dry_run=dry_run))
-        parts.append(f"{sum(table.files_rewritten for table in done.tables)} files of {len(done.tables)} tables {would}put together")
+        parts.append(
+            f"{counted(sum(table.files_rewritten for table in done.tables), 'file')} "
+            f"of {counted(len(done.tables), 'table')} {would}put together"
+        )
     gone = patiently(lambda: vacuum(store, days=days, dry_run=dry_run))
-    parts.append(f"{len(gone.snapshots)} snapshots, {gone.files} data files, {gone.blobs} blobs {would}removed: {gone.bytes / 1e6:.1f} MB")
+    parts.append(
+        f"{counted(len(gone.snapshots), 'snapshot')}, {counted(gone.files, 'data file')}, "
+        f"{counted(gone.blobs, 'blob')} {would}removed: {gone.bytes / 1e6:.1f} MB"
+    )
     text = "; ".join(parts)
     run_log(text)
     return Completed(message=text)

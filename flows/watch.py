@@ -16,6 +16,7 @@ from flows.scans.arrivals import HERE, SETTLE_SECONDS, Arrival, Look, look, reme
 from flows.server.artifacts import MAX_ROWS, artifact_key, flow_run_name, public_address, run_log
 from flows.server.deployments import lake_name
 from schemas.errors import InputError
+from schemas.wording import counted
 from warehouse.lake import Lake
 
 BACKFILL = "replicate/backfill-{lake}"
@@ -83,9 +84,9 @@ def watch(
     if has_news:
         _leave_table(latest, scans, store.address)
     if failures:
-        return Failed(message=f"{len(failures)} scenes failed: {failures[0]}", data=report)
+        return Failed(message=f"{counted(len(failures), 'scene')} failed: {failures[0]}", data=report)
     if report.overdue and not dry_run:
-        message = f"{len(report.overdue)} scans incomplete for more than a day: {report.overdue[0]}"
+        message = f"{counted(len(report.overdue), 'scan')} incomplete for more than a day: {report.overdue[0]}"
         return Failed(message=message, data=report)
     return report
 
@@ -123,7 +124,7 @@ def ask(deployment: str, parameters: dict[str, Any], key: str) -> str:
     except ObjectNotFound as error:
         remedy = f"metascenes deploy sets up replicate/backfill-{named}"
         raise InputError("--deployment", deployment, "the Prefect server does not know it", remedy) from error
-    run_log(f"asked {deployment} for {len(parameters['scenes'])} scans: run {run.name} ({run.id})")
+    run_log(f"asked {deployment} for {counted(len(parameters['scenes']), 'scan')}: run {run.name} ({run.id})")
     return str(run.id)
 
 

@@ -29,6 +29,7 @@ from schemas.record import arrow_to_rows, check
 from schemas.runs import StageRun
 from schemas.tables import TABLES
 from schemas.text import one_line
+from schemas.wording import counted
 from tasks.library.library import OpenLibrary
 from tasks.models import Model
 from tasks.stage import Context, Outcome, Stage, silently
@@ -207,7 +208,7 @@ def _kept(stage: Stage, job: Job, lake: Lake, outcome: Outcome) -> Outcome:
         raise LakeError(f"stage {stage.name}: {error}") from error
     missing = [name for name in sorted(named - set(outcome.blobs)) if name not in lake.blobs]
     if missing:
-        raise LakeError(f"stage {stage.name}: rows name {len(missing)} blobs that nobody made, {missing[0]} first")
+        raise LakeError(f"stage {stage.name}: rows name {counted(len(missing), 'blob')} that nobody made, {missing[0]} first")
     return outcome
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import itertools
 import linecache
 import re
@@ -14,7 +13,8 @@ from typing import Annotated, Any, ClassVar, Union, get_args
 from pydantic import BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import ArgsKwargs, CoreSchema, PydanticCustomError, core_schema
 
-from schemas.text import SHOWN, cut
+from schemas.text import cut
+from schemas.wording import meant
 
 LARGEST = 10**18
 """Of whole numbers that settings take; more does not fit into 64 bits."""
@@ -174,8 +174,7 @@ def adapter(config: type) -> TypeAdapter[Any]:
 def nearest(word: str, known: Iterable[str], head: str) -> str:
     """The remedy for an unknown word: the known one that is nearest, and all known ones."""
     names = list(known)
-    close = difflib.get_close_matches(word[:SHOWN], names, n=1)
-    return (f"did you mean {close[0]}? " if close else "") + f"{head} {', '.join(names)}"
+    return f"{meant(word, names)}{head} {', '.join(names)}"
 
 
 _PROBLEMS = {

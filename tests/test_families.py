@@ -350,7 +350,7 @@ def lake(place: Path, command: Do) -> Path:
     }
     settings = [word for name, value in told.items() for word in ("--set", f"{name}={value}")]
     done = command("run", "--scans", "scans", "--lake", "lake", "--workers", 1, *QUICK, *settings)
-    assert "1 scenes done" in done.stdout, done.stdout + done.stderr
+    assert "1 scene done" in done.stdout, done.stdout + done.stderr
     return place / "lake"
 
 

@@ -12,6 +12,7 @@ import click
 from flows.commands.options import existing_lake, json_option, lake_option, listening_options, seed_option, settings_options
 from schemas.annotation import PICKS
 from schemas.text import one_line
+from schemas.wording import counted, noun
 
 
 @click.group("annotate", short_help="Ask people, take in what they chose, and have it reviewed.")
@@ -60,7 +61,9 @@ def create(
     result = create_batch(existing_lake(address), plan, out, again=again, dry_run=dry_run, configuration=configuration)
     loads = ", ".join(f"{name} {load}" for name, load in result["assignments"].items())
     verb = "would be asked" if dry_run else f"are in {out}"
-    _print(result, as_json, f"batch {batch_id}: {result['objects']} objects of {result['scenes']} scenes {verb}; {loads}")
+    _print(
+        result, as_json, f"batch {batch_id}: {counted(result['objects'], 'object')} of {counted(result['scenes'], 'scene')} {verb}; {loads}"
+    )
     if not dry_run and not as_json:
         print(f"next: annotators fill in {out}/answers/*.json, then: metascenes annotate import {out}/answers.json")
 
@@ -111,7 +114,8 @@ def import_batch(
         line = f"batch {batch_id} is in the lake already, with the same answers; nothing to do"
     else:
         verb = "would be imported" if dry_run else "imported"
-        whose = f"{result['annotations']} answers of {result['annotators']} annotators on {result['scenes']} scenes"
+        whose = f"{counted(result['annotations'], 'answer')} of {counted(result['annotators'], 'annotator')} "
+        whose += f"on {counted(result['scenes'], 'scene')}"
         parts = [f"{result[name]} {name}" for name in ("new", "corrected", "withdrawn") if result[name]]
         line = f"batch {batch_id}: {whose} {verb}" + (f" ({', '.join(parts)})" if parts else "")
     _print(result, as_json, line)
@@ -134,7 +138,7 @@ def submit_batch(batch_id: str, by: str, partial: bool, address: str, as_json: b
 
     lake = existing_lake(address)
     result = submit(lake, batch_id, by, partial)
-    _print(result, as_json, f"batch {batch_id}: {result['answers']} answers handed in, round {result['round']}")
+    _print(result, as_json, f"batch {batch_id}: {counted(result['answers'], 'answer')} handed in, round {result['round']}")
     if not as_json:
         _print_next(lake, batch_id)
 
@@ -170,7 +174,7 @@ def sample(batch_id: str, reviewer: str | None, out: Path | None, address: str, 
         form = {"batch_id": batch_id, "reviewer": reviewer, "verdicts": verdicts}
         file.write_text(json.dumps(form, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         if not as_json:
-            print(f"{file}: {len(rows)} answers to judge; then: metascenes annotate review {file}")
+            print(f"{file}: {counted(len(rows), 'answer')} to judge; then: metascenes annotate review {file}")
 
 
 @command.command("review")
@@ -200,11 +204,13 @@ def import_review(file: Path, dry_run: bool, address: str, as_json: bool) -> Non
         if result["judged"] == result["sampled"]:
             result |= conclude(lake, result["batch_id"])
             line = (
-                f"{result['passed']} of {result['sampled']} reviewed answers pass; of all {result['answers']} between "
+                f"{result['passed']} of {counted(result['sampled'], 'reviewed answer')} {noun(result['passed'], 'passes', 'pass')}; "
+                f"of all {result['answers']} between "
                 f"{result['pass_low']:.1%} and {result['pass_high']:.1%} do: {result['verdict']}"
             )
         else:
-            line = f"{result['judged']} of {result['sampled']} answers judged, {result['failed']} of them do not pass"
+            line = f"{result['judged']} of {counted(result['sampled'], 'answer')} judged, "
+            line += f"{result['failed']} of them {noun(result['failed'], 'does', 'do')} not pass"
         _print(result, as_json, f"batch {result['batch_id']}: {line}")
         if not as_json:
             _print_next(lake, result["batch_id"])
@@ -214,7 +220,7 @@ def import_review(file: Path, dry_run: bool, address: str, as_json: bool) -> Non
         line = f"the reviews of batch {result['batch_id']} are in the lake already; nothing to do"
     else:
         verb = "would be imported" if dry_run else "imported"
-        verdict = f"{result['wrong']} of {result['sampled']} sampled answers wrong, {result['returned']} returned"
+        verdict = f"{result['wrong']} of {counted(result['sampled'], 'sampled answer')} wrong, {result['returned']} returned"
         known = f", {result['already']} known already" if result["already"] else ""
         count = f"{result['reviews']} review{'' if result['reviews'] == 1 else 's'}"
         line = f"batch {result['batch_id']}: {count}{known} {verb}: {verdict}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import time
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import click
 
 from flows.commands.options import json_option, workers_option
 from schemas.families.policies import POLICIES
+from schemas.wording import counted
 
 
 @click.command("demo", short_help="Make raw scans of furnished rooms and turn them into replica scenes.")
@@ -59,16 +61,16 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     else:
         print(stage_table(lake.snapshot()))
         print()
-        scans = f"{made} scans made in {scanned:.1f} s" if made else "scans are up to date"
-        exported = f"{written.files} files exported, {written.failed_checks} checks failed"
+        scans = f"{counted(made, 'scan')} made in {scanned:.1f} s" if made else "scans are up to date"
+        exported = f"{counted(written.files, 'file')} exported, {counted(written.failed_checks, 'check')} failed"
         print(f"{scans}; {report_line(report)} in {replicated:.1f} s; {exported}; {time.perf_counter() - clock:.1f} s in all")
         print()
         for name, place in places.items():
             print(f"{name:<16} {place}")
         if is_viewed:
             print(f"{'scenes in 3D':<16} {out / 'view'}")
-            print(f"{'look at it':<16} metascenes view --lake {out / 'lake'}")
-        print(f'{"ask the lake":<16} metascenes sql --lake {out / "lake"} "SELECT * FROM objects_per_scene"')
+        for name, line in next_commands(out / "lake", is_viewed).items():
+            print(f"{name:<16} {line}")
     tell(report)
     for line in (*written.problems, *unmeasured):
         click.echo(f"failed: {line}", err=True)
@@ -82,3 +84,10 @@ def places_in(out: Path) -> dict[str, Path]:
 
     exports = {format_.title: out / format_.name for format_ in FORMATS}
     return {"raw scans": out / "scans", **exports, "report": out / "report.html", "lake": out / "lake"}
+
+
+def next_commands(lake: Path, is_viewed: bool) -> dict[str, str]:
+    """What to type next, for a shell, by what it is good for."""
+    looked = {"look at it": f"metascenes view --lake {shlex.quote(str(lake))}"} if is_viewed else {}
+    asked = f'metascenes sql --lake {shlex.quote(str(lake))} "SELECT * FROM objects_per_scene"'
+    return {**looked, "ask the lake": asked, "name it once": f"export METASCENES_LAKE={shlex.quote(str(lake.resolve()))}"}

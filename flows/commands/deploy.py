@@ -92,6 +92,7 @@ def command(
     from flows.server.access import CLIENT_TOKEN, SERVER_TOKEN, kept_token, token_file
     from flows.server.services import first_to_end, server, worker
 
+    schedule.check_crons(apart=True)  # before a server starts, whose address Prefect is to find in the environment
     print("starting a Prefect server", file=sys.stderr)
     server_token = os.environ.get(SERVER_TOKEN)
     token = server_token or kept_token(port)

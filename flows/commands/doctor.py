@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options
+from schemas.wording import counted
 from tasks.exports.format import ExportFormat
 from tasks.exports.formats import FORMATS
 
@@ -81,7 +82,7 @@ def lake(quick: bool, snapshot_id: int | None, release: str | None, address: str
     chosen = chosen_snapshot(opened, snapshot_id, release)
     with Progress("checking", sum(1 for _ in opened.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
         inspection = inspect(opened, chosen, release=release, quick=quick, advance=progress.advance)
-    looked = f"{inspection.snapshots} snapshots, {inspection.files} data files, {inspection.blobs} blobs"
+    looked = f"{counted(inspection.snapshots, 'snapshot')}, {counted(inspection.files, 'data file')}, {counted(inspection.blobs, 'blob')}"
     if inspection.reclaimable_bytes and not as_json:
         print(f"`metascenes lake vacuum` would free {inspection.reclaimable_bytes / 1e6:.1f} MB of data files between snapshots")
     _tell([str(finding) for finding in inspection.errors], [str(finding) for finding in inspection.warnings], as_json, looked)
@@ -95,6 +96,6 @@ def _tell(errors: Sequence[str], warnings: Sequence[str], as_json: bool, what: s
             print(f"warning: {line}")
         for line in errors:
             print(f"wrong: {line}")
-        print(f"{what + ': ' if what else ''}{len(errors)} errors, {len(warnings)} warnings")
+        print(f"{what + ': ' if what else ''}{counted(len(errors), 'error')}, {counted(len(warnings), 'warning')}")
     if errors:
         raise click.exceptions.Exit(1)

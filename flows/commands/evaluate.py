@@ -13,6 +13,7 @@ import click
 
 from flows.commands.options import configuration_options, existing_lake, json_option, lake_option, workers_option
 from schemas.families.policies import POLICIES
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from flows.evaluation.acting import PlannedPolicy
@@ -133,7 +134,10 @@ def _carried_out(store: Lake, planned: Sequence[PlannedPolicy], *, dry_run: bool
 def _tell(evaluated: list[Evaluated], metrics: list[dict[str, Any]], dry_run: bool) -> None:
     """What was done, and the metrics, for people."""
     for policy_run in evaluated:
-        counts = f"{policy_run.policy}, {policy_run.run_name}: {policy_run.trajectories} trajectories in {policy_run.scenes} scenes"
+        counts = (
+            f"{policy_run.policy}, {policy_run.run_name}: "
+            f"{counted(policy_run.trajectories, 'trajectory', 'trajectories')} in {counted(policy_run.scenes, 'scene')}"
+        )
         old = f", {policy_run.trajectories - policy_run.new} are in the lake already" if policy_run.new < policy_run.trajectories else ""
         print(f"{counts}: {policy_run.new} {'would be measured' if dry_run else 'measured'}{old}")
         for note in policy_run.notes[:MAX_NOTES]:

@@ -10,6 +10,7 @@ import click
 
 from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options, workers_option
 from schemas.families.export_formats import EXPORT_FORMATS
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -77,7 +78,7 @@ def command(
         answer |= {"notes": written.notes, "emptied": written.emptied}
         print(json.dumps(answer | ({"left_out": written.shipment.as_json()} if written.shipment is not None else {})))
     else:
-        print(f"{written.files} files below {out}; {written.failed_checks} checks failed")
+        print(f"{counted(written.files, 'file')} below {out}; {counted(written.failed_checks, 'check')} failed")
         for scene in (*written.usd_scenes, *written.usd_packages):
             print(scene)
         for line in left_out_lines(written.shipment) if written.shipment is not None else ():
@@ -100,7 +101,7 @@ def _plan(
         answer = {"files": len(rows), "notes": chosen.missing, "emptied": emptied}
         print(json.dumps(answer | ({"left_out": sent.as_json()} if sent is not None else {})))
     else:
-        print(f"{'at most ' if sent is not None and sent.kept else ''}{len(rows)} files would be written below {out}")
+        print(f"{'at most ' if sent is not None and sent.kept else ''}{counted(len(rows), 'file')} would be written below {out}")
         for line in left_out_lines(sent) if sent is not None else ():
             print(line)
     _tell(() if as_json else chosen.missing, [f"{name}: the allowed licenses leave nothing of it" for name in emptied])

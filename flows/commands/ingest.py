@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flows.commands.options import end_with_failures, grouped, json_option, lake_option, workers_option
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from flows.inputs.ingestion import DatasetImport
@@ -93,9 +94,9 @@ def _as_text(result: DatasetImport, dry_run: bool) -> str:
     lines = [f"{scene.scene_id:<40} {scene.action:<7} {scene.why}" for scene in result.scenes] if dry_run else []
     notes = sum(len(scene.notes) for scene in result.scenes)
     verb = "would be imported" if dry_run else "imported"
-    parts = [f"{len(fresh)} scenes {verb}", f"{len(kept)} unchanged", f"{len(result.failed)} failed"]
+    parts = [f"{counted(len(fresh), 'scene')} {verb}", f"{len(kept)} unchanged", f"{len(result.failed)} failed"]
     if fresh and not dry_run:
-        parts[0] += f" ({sum(scene.objects for scene in fresh)} objects)"
+        parts[0] += f" ({counted(sum(scene.objects for scene in fresh), 'object')})"
     if notes:
-        parts.append(f"{notes} notes (in stage_runs.degradations)")
+        parts.append(f"{counted(notes, 'note')} (in stage_runs.degradations)")
     return "\n".join([*lines, f"{result.dataset}: {', '.join(parts)}"])

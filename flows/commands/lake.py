@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from flows.commands.options import existing_lake, json_option, lake_option
 from flows.progress import Progress
+from schemas.wording import counted, meant, noun
 
 if TYPE_CHECKING:
     from warehouse.upkeep.erasure import Erasure, Traces
@@ -49,7 +51,10 @@ def compact(tables: tuple[str, ...], dry_run: bool, address: str, as_json: bool)
         return
     for table in done.tables:
         sizes = f"{_megabytes(table.bytes_rewritten)}{'' if dry_run else f' to {_megabytes(table.bytes_after)}'}"
-        print(f"{table.table:<22} {table.files_rewritten} of {table.files_before} files rewritten, {table.files_after} after, {sizes}")
+        print(
+            f"{table.table:<22} {table.files_rewritten} of "
+            f"{counted(table.files_before, 'file')} rewritten, {table.files_after} after, {sizes}"
+        )
     if not done.tables:
         print("nothing to put together")
     else:
@@ -74,10 +79,13 @@ def vacuum(days: float, dry_run: bool, address: str, as_json: bool) -> None:
     if as_json:
         print(json.dumps(dataclasses.asdict(done) | {"bytes": done.bytes}))
         return
-    snapshots = f"{len(done.snapshots)} snapshots{f' ({_numbers(done.snapshots)})' if done.snapshots else ''}"
-    print(f"{snapshots}, {done.files} data files, {done.blobs} blobs {'would go' if dry_run else 'removed'}: {_megabytes(done.bytes)}")
+    snapshots = f"{counted(len(done.snapshots), 'snapshot')}{f' ({_numbers(done.snapshots)})' if done.snapshots else ''}"
+    print(
+        f"{snapshots}, {counted(done.files, 'data file')}, {counted(done.blobs, 'blob')} "
+        f"{'would go' if dry_run else 'removed'}: {_megabytes(done.bytes)}"
+    )
     if done.young_blobs:
-        print(f"{done.young_blobs} blobs that no row names are younger than a day and stay")
+        print(_young(done.young_blobs))
 
 
 @command.command("backup")
@@ -164,12 +172,15 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
                 waiting = [*late.scenes, *(name for name in waiting if name not in late.scenes)]
     if dry_run:
         drafts.append(erase_drafts(lake, done.traces, dry_run=True))
-    _tell_erased(done, also, sum(cached), sum(drafts), dry_run, as_json)
+    known = lake.snapshot().matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist()
+    _tell_erased(done, also, sum(cached), sum(drafts), dry_run, as_json, known)
     if done.proof is not None and (done.proof.hits or done.young_blobs):
         raise click.exceptions.Exit(1)
 
 
-def _tell_erased(done: Erasure, also: tuple[str, ...], cached: int, drafts: int, dry_run: bool, as_json: bool) -> None:
+def _tell_erased(
+    done: Erasure, also: tuple[str, ...], cached: int, drafts: int, dry_run: bool, as_json: bool, known: Sequence[str]
+) -> None:
     if as_json:
         shown: dict[str, Any] = {
             "scene_id": done.scene_id, "dry_run": dry_run, "rows": dict(done.rows), "staged_runs": done.staged_runs, "blobs": done.blobs,
@@ -183,27 +194,36 @@ def _tell_erased(done: Erasure, also: tuple[str, ...], cached: int, drafts: int,
     for name in also:
         print(f"{name:<22} all of it {verb}: it was made of {done.scene_id}")
     for table, count in done.rows.items():
-        print(f"{table:<22} {count} rows {verb}")
+        print(f"{table:<22} {counted(count, 'row')} {verb}")
     if not (sum(done.rows.values()) or done.staged_runs or done.blobs or done.releases or drafts):
-        print(f"nothing in the lake names {done.scene_id}")
-    print(f"{done.staged_runs} staged runs and {done.blobs} blobs {verb}, and {cached} files and entries of this machine's caches")
+        print("; ".join(filter(None, (f"nothing in the lake names {done.scene_id}", meant(done.scene_id, known).strip()))))
+    print(
+        f"{counted(done.staged_runs, 'staged run')} and {counted(done.blobs, 'blob')} {verb}, "
+        f"and {counted(cached, 'file or entry', 'files and entries')} of this machine's caches"
+    )
     if drafts:
-        print(f"{drafts} drafts of annotators {verb}")
+        print(f"{counted(drafts, 'draft')} of annotators {verb}")
     if done.snapshots:
-        print(f"{len(done.snapshots)} snapshots are {'to be ' if dry_run else ''}dropped: {_numbers(done.snapshots)}")
+        print(
+            f"{counted(len(done.snapshots), 'snapshot is', 'snapshots are')} "
+            f"{'to be ' if dry_run else ''}dropped: {_numbers(done.snapshots)}"
+        )
     if done.releases:
         print(f"releases {'to be ' if dry_run else ''}written anew: {', '.join(done.releases)}")
     if done.models:
         names = ", ".join(model_id[:12] for model_id in done.models)
         print(f"trained while it was there, and not unlearned: models {names}; `metascenes models withdraw`, and train anew")
     if done.young_blobs:
-        whose = f"{done.young_blobs} blobs that no row names are younger than a day and stay, of whatever scene"
+        whose = f"{_young(done.young_blobs)}, of whatever scene"
         print(f"not proven: {whose}; give the same command again in a day")
     if done.proof is not None:
         proof = done.proof
-        print(f"searched {proof.files} files, {_megabytes(proof.bytes)}, {proof.rows} rows: {len(proof.hits)} hits")
+        print(
+            f"searched {counted(proof.files, 'file')}, {_megabytes(proof.bytes)}, "
+            f"{counted(proof.rows, 'row')}: {counted(len(proof.hits), 'hit')}"
+        )
         for hit in proof.hits:
-            print(f"{hit.path}: {hit.place}: {hit.count} times, {', '.join(hit.traces)}")
+            print(f"{hit.path}: {hit.place}: {counted(hit.count, 'time')}, {', '.join(hit.traces)}")
     print("Not reached: scans, folders that were exported, backups (make the next one), other machines' caches.")
 
 
@@ -212,11 +232,16 @@ def _tell_copied(what: str, done: Any, as_json: bool) -> None:
         print(json.dumps(dataclasses.asdict(done)))
         return
     copied = f"{done.copied_files} copied ({_megabytes(done.copied_bytes)})"
-    print(f"{what}: {done.files} files ({_megabytes(done.bytes)}), {copied}, {done.removed_files} removed")
+    print(f"{what}: {counted(done.files, 'file')} ({_megabytes(done.bytes)}), {copied}, {done.removed_files} removed")
 
 
 def _megabytes(size: int) -> str:
     return f"{size / 1e6:.1f} MB"
+
+
+def _young(blobs: int) -> str:
+    younger = noun(blobs, "blob that no row names is younger", "blobs that no row names are younger")
+    return f"{blobs} {younger} than a day and {noun(blobs, 'stays', 'stay')}"
 
 
 def _numbers(numbers: tuple[int, ...]) -> str:

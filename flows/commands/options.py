@@ -14,6 +14,8 @@ import click
 from schemas.families.scan_formats import SCAN_FORMATS
 
 if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
     from warehouse.lake import Lake
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -24,9 +26,16 @@ def grouped(*options: Callable[[F], F]) -> Callable[[F], F]:
     return lambda function: reduce(lambda made, option: option(made), options, function)
 
 
+def _folders(_context: click.Context, _option: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Let the shell complete folders, which addresses are but for stores of objects."""
+    from click.shell_completion import CompletionItem
+
+    return [CompletionItem(incomplete, type="dir")]
+
+
 lake_option = click.option(
-    "--lake", "address", envvar="METASCENES_LAKE", default="lake", show_default=True, metavar="ADDRESS",
-    help="Folder of the lake, or s3://bucket/prefix.",
+    "--lake", "address", envvar="METASCENES_LAKE", show_envvar=True, default="lake", show_default=True, metavar="ADDRESS",
+    help="Folder of the lake, or s3://bucket/prefix.", shell_complete=_folders,
 )  # fmt: skip
 """`--lake ADDRESS`: a folder or s3://bucket/prefix; METASCENES_LAKE, else ./lake."""
 
@@ -45,7 +54,9 @@ scans_options = grouped(
         "--format", "scan_format", type=click.Choice(["auto", *SCAN_FORMATS]), default="auto", show_default=True, help="Scan format."
     ),
     links_option,
-    click.option("--scans", required=True, metavar="ADDRESS", help="Folder of scans, one scan, or s3://bucket/prefix."),
+    click.option(
+        "--scans", required=True, metavar="ADDRESS", help="Folder of scans, one scan, or s3://bucket/prefix.", shell_complete=_folders
+    ),
 )
 """`--scans ADDRESS`, `--links-into`, `--format` (as `scan_format`), `--dataset`: where scans lie and how they are read."""
 

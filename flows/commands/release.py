@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flows.commands.options import existing_lake, json_option, lake_option
+from schemas.wording import noun
 
 if TYPE_CHECKING:
     from warehouse.release.difference import Changes, Difference
@@ -56,7 +57,10 @@ def create(name: str, notes: str, snapshot_id: int | None, dry_run: bool, addres
     if as_json:
         print(json.dumps(record_fields(release) | {"folder": folder}))
     else:
-        print(f"released snapshot {release.snapshot_id} as {name}: {release.scenes:,} scenes, {release.objects:,} objects")
+        print(
+            f"released snapshot {release.snapshot_id} as {name}: {release.scenes:,} "
+            f"{noun(release.scenes, 'scene')}, {release.objects:,} {noun(release.objects, 'object')}"
+        )
         print(f"{folder}/README.md")
 
 

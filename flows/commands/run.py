@@ -12,6 +12,7 @@ import click
 
 from flows.commands.options import configuration_options, json_option, lake_option, scans_options, workers_option
 from flows.run.fanout.runners import RUNNERS
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -155,7 +156,13 @@ def tell(report: RunReport) -> None:
     for line in report.failures:
         print(f"failed: {line}", file=sys.stderr)
     if report.postponed:
-        print(f"stopped: {report.stopped}; {len(report.postponed)} scenes were not begun, {report.postponed[0]} first", file=sys.stderr)
+        print(
+            (
+                f"stopped: {report.stopped}; {counted(len(report.postponed), 'scene was', 'scenes were')} "
+                f"not begun, {report.postponed[0]} first"
+            ),
+            file=sys.stderr,
+        )
     elif report.stopped:
         print(f"failed: {report.stopped}", file=sys.stderr)
 
@@ -163,12 +170,12 @@ def tell(report: RunReport) -> None:
 def report_line(report: RunReport) -> str:
     """A run's report in a line."""
     if not (report.done or report.failed or report.failures or report.shared or report.postponed or report.rescans):
-        return f"nothing to do: {len(report.unchanged)} scenes are up to date{_other_names(report.same)}"
-    parts = [f"{len(report.done)} scenes done"]
+        return f"nothing to do: {counted(len(report.unchanged), 'scene is', 'scenes are')} up to date{_other_names(report.same)}"
+    parts = [f"{counted(len(report.done), 'scene')} done"]
     if failed := len(report.failures) - len(report.broken):
         parts.append(f"{failed} failed")
     if report.broken:
-        parts.append(f"{len(report.broken)} checks of exports failed")
+        parts.append(f"{counted(len(report.broken), 'check')} of exports failed")
     parts.append(f"{len(report.unchanged)} unchanged")
     if report.same:
         parts.append(_other_names(report.same).removeprefix(", "))
@@ -178,9 +185,9 @@ def report_line(report: RunReport) -> str:
         parts.append(f"{len(report.rescans)} held against earlier scans of their rooms")
     if report.postponed:
         parts.append(f"{len(report.postponed)} postponed")
-    parts.append(f"{report.steps} stage runs")
+    parts.append(f"{counted(report.steps, 'stage run')}")
     if report.degradations:
-        parts.append(f"{len(report.degradations)} degradations (in the table stage_runs)")
+        parts.append(f"{counted(len(report.degradations), 'degradation')} (in the table stage_runs)")
     return ", ".join(parts)
 
 
@@ -199,7 +206,7 @@ def _same(same: Mapping[str, str]) -> list[str]:
 
     lines = [sentence(scan, scene) for scan, scene in list(same.items())[:MAX_NOTES]]
     if len(same) > MAX_NOTES:
-        lines.append(f"and {len(same) - MAX_NOTES} more scans known under another name (--json names them)")
+        lines.append(f"and {counted(len(same) - MAX_NOTES, 'more scan')} known under another name (--json names them)")
     return [*lines, "--again computes them again under their names here"] if lines else []
 
 
@@ -212,8 +219,10 @@ def _plan_text(plan: Plan, rescans: Mapping[str, Sequence[str]]) -> str:
     lines += [f"left out: {line}" for line in plan.left_out]
     lines += [f"unusable: {error}" for error in plan.unusable]
     counts = plan.counts()
-    lines.append(f"{len(plan.scenes)} scenes: {counts['run']} stage runs to do, {counts['reuse']} up to date, "
-                 f"{counts['report']} failed before, {counts['wait']} waiting for those; {len(plan.unusable)} scans unusable")  # fmt: skip
+    lines.append(
+        f"{counted(len(plan.scenes), 'scene')}: {counted(counts['run'], 'stage run')} to do, {counts['reuse']} up to date, "
+        f"{counts['report']} failed before, {counts['wait']} waiting for those; {counted(len(plan.unusable), 'scan')} unusable"
+    )
     return "\n".join(lines)
 
 

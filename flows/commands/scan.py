@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from schemas.wording import counted
+
 
 @click.command("scan", short_help="Scan a furnished GLB scene with the virtual scanner.")
 @click.argument("scene", type=click.Path(path_type=Path, dir_okay=False, exists=True))
@@ -50,4 +52,4 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     finally:
         shutil.rmtree(making)
     seen = sum(obj.object_id is not None for obj in truth.objects)
-    print(f"{out / scan}: {truth.frame_count} frames, {seen} of {len(truth.objects)} objects seen")
+    print(f"{out / scan}: {counted(truth.frame_count, 'frame')}, {seen} of {counted(len(truth.objects), 'object')} seen")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flows.commands.options import existing_lake, json_option, lake_option
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,15 +108,16 @@ def _print(status: Status, errors: Sequence[str], broken: Sequence[str], show_al
     if not status.scenes and not status.runs:
         print("the lake is empty")
         return
-    print(status_line(status) + (f"; {len(broken)} checks of exports failed" if broken else ""))
+    print(status_line(status) + (f"; {counted(len(broken), 'check')} of exports failed" if broken else ""))
     wrong = [*errors, *broken]
     now = time.time()
     for item in status.runs:
         run = item.run
-        how = f"{run.workers} workers" + (f" ({run.runner})" if run.runner else "")
+        how = f"{counted(run.workers, 'worker')}" + (f" ({run.runner})" if run.runner else "")
         since = _span(now - run.started_at.timestamp())
         print(
-            f"run on {run.host} for {since}: {how}, {run.done} of {run.scenes} scenes done, {run.failed} failed; {_left(item.seconds_left)}"
+            f"run on {run.host} for {since}: {how}, {run.done} of "
+            f"{counted(run.scenes, 'scene')} done, {run.failed} failed; {_left(item.seconds_left)}"
         )
     order = ("running", "failed", "stale", "unfinished")
     listed = sorted(
@@ -124,15 +126,15 @@ def _print(status: Status, errors: Sequence[str], broken: Sequence[str], show_al
     for scene in listed if show_all else listed[:SHOWN]:
         print(f"{scene.scene_id:<32} {scene.state:<10} {_what(scene, now)}")
     if not show_all and len(listed) > SHOWN:
-        print(f"and {len(listed) - SHOWN} more scenes (--all lists them)")
+        print(f"and {counted(len(listed) - SHOWN, 'more scene')} (--all lists them)")
     for scenes in status.same if show_all else status.same[:SHOWN]:
-        print(f"{', '.join(scenes)}: the same scan under {len(scenes)} names; `metascenes lake erase` removes one")
+        print(f"{', '.join(scenes)}: the same scan under {counted(len(scenes), 'name')}; `metascenes lake erase` removes one")
     if not show_all and len(status.same) > SHOWN:
-        print(f"and {len(status.same) - SHOWN} more scans under several names (--all lists them)")
+        print(f"and {counted(len(status.same) - SHOWN, 'more scan')} under several names (--all lists them)")
     for line in wrong if show_all else wrong[:SHOWN]:
         print(line)
     if not show_all and len(wrong) > SHOWN:
-        print(f"and {len(wrong) - SHOWN} more errors (--all lists them)")
+        print(f"and {counted(len(wrong) - SHOWN, 'more error')} (--all lists them)")
 
 
 def status_line(status: Status) -> str:
@@ -165,7 +167,7 @@ def _what(scene: SceneStatus, now: float) -> str:
     parts += [f"{', '.join(stages)}: {why}" for why, stages in causes.items()]
     for count, what in ((following, "follow"), (waiting, "wait")):
         if count:
-            parts.append(f"{count} stages {what}" if count > 1 else f"1 stage {what}s")
+            parts.append(counted(count, f"stage {what}s", f"stages {what}"))
     return "; ".join(parts)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flows.commands.options import end_with_failures, grouped, json_option, lake_option, workers_option
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from flows.inputs.synthesis import SceneSynthesis, Synthesized
@@ -95,14 +96,14 @@ def _as_text(result: Synthesized, dry_run: bool) -> str:
     lines = [_line(scene, dry_run) for scene in result.scenes if scene.action != "reuse" or dry_run]
     made = [scene.done for scene in result.scenes if scene.done is not None and scene.error is None]
     todo = sum(scene.action in ("draw", "go on") for scene in result.scenes)
-    parts = [f"{todo} scenes would be made" if dry_run else f"{len(made)} scenes made"]
+    parts = [f"{counted(todo, 'scene')} would be made" if dry_run else f"{counted(len(made), 'scene')} made"]
     parts += [f"{sum(scene.action == 'reuse' for scene in result.scenes)} unchanged", f"{len(result.failed)} failed"]
     lines.append(f"{', '.join(parts)}; {result.model_kind} {result.model_id[:12]}, seed {result.seed}")
     objects = sum(done.objects for done in made)
     if objects:
         shares = (100 * sum(values) / objects for values in ([done.proposed for done in made], [done.settled for done in made]))
         as_drawn, settled = (f"{share:.0f} %" for share in shares)
-        lines.append(f"{objects} objects: {as_drawn} stay within 1 cm where they were drawn, {settled} where they were put")
+        lines.append(f"{counted(objects, 'object')}: {as_drawn} stay within 1 cm where they were drawn, {settled} where they were put")
     return "\n".join(lines)
 
 
@@ -110,6 +111,6 @@ def _line(scene: SceneSynthesis, dry_run: bool) -> str:
     if scene.done is None or scene.error is not None:
         return f"{scene.scene_id:<48} {scene.action:<7} {scene.why if dry_run or scene.error is None else 'failed'}"
     done = scene.done
-    gates = f"{len(done.broken)} rules of gates broken: {', '.join(done.broken[:3])}" if done.broken else "all gates passed"
+    gates = f"{counted(len(done.broken), 'rule')} of gates broken: {', '.join(done.broken[:3])}" if done.broken else "all gates passed"
     count = f"{done.objects} {'object' if done.objects == 1 else 'objects'}"
     return f"{scene.scene_id:<48} {count}, {done.proposed} stable as drawn, {done.settled} settled; {gates}"

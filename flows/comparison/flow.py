@@ -27,6 +27,7 @@ from flows.training.training import system_configuration
 from flows.training.training import train as trained
 from schemas.runs import StageRun
 from schemas.training import LearnedModel
+from schemas.wording import counted
 from warehouse.lake import Lake
 
 
@@ -112,7 +113,10 @@ def compare(
         for note in planned.notes:
             run_log(note)
         to_train, to_measure, _ = left_to_do(store, planned)
-        run_log(f"{planned.comparison_id}: {to_train} models to train, {to_measure} trajectories to measure")
+        run_log(
+            f"{planned.comparison_id}: {counted(to_train, 'model')} to train, "
+            f"{counted(to_measure, 'trajectory', 'trajectories')} to measure"
+        )
         with fanned_out(workers_for(workers, len(planned.trainings) * len(planned.episodes)), ACTING) as act_in:
             return carried_out(store, planned, model_of, with_bar(act_in))
 
@@ -120,6 +124,8 @@ def compare(
     keep(done)
     for line in done.failed:
         run_log(line, warning=True)
-    summary = f"{done.comparison_id}: {done.trained} models trained, {done.measured} trajectories measured"
+    summary = (
+        f"{done.comparison_id}: {counted(done.trained, 'model')} trained, {counted(done.measured, 'trajectory', 'trajectories')} measured"
+    )
     run_log(summary)
     return Failed(message=f"{summary}; {done.failed[0]}", data=done) if done.failed else Completed(message=summary, data=done)

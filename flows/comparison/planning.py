@@ -18,6 +18,7 @@ from flows.training.training import PlannedTraining, planned_training
 from schemas.errors import InputError
 from schemas.navigation import Split
 from schemas.text import cut
+from schemas.wording import counted, noun
 from tasks import comparison
 from tasks.comparison import ComparisonConfig
 from tasks.navigation import room_name, split_of
@@ -183,16 +184,25 @@ def _test_episodes(
             raise InputError("--test", name, f"has no episodes in {snapshot.name}", "`metascenes run` makes them, or name another dataset")
         fresh = [scene for scene, (room, _) in scenes.items() if room_name(room) not in learned]
         if not fresh:
-            problem = f"is trained on: all of its {len(scenes)} scenes with episodes are in rooms that a policy learns from"
+            problem = (
+                f"is trained on: all of its {counted(len(scenes), 'scene with episodes is', 'scenes with episodes are')} "
+                f"in rooms that a policy learns from"
+            )
             raise InputError("--test", name, problem, "test on another dataset, or leave this one out of --train")
         if len(fresh) < len(scenes):
-            notes.append(f"{name}: {len(scenes) - len(fresh)} of {len(scenes)} scenes are left out, their rooms are learned from")
+            notes.append(
+                f"{name}: {len(scenes) - len(fresh)} of {counted(len(scenes), 'scene')} "
+                f"{noun(len(scenes) - len(fresh), 'is', 'are')} left out, their rooms are learned from"
+            )
         some = sorted(fresh, key=lambda scene: hashlib.sha256(f"comparison {scene}".encode()).digest())[: config.scenes]
         if len(some) < config.scenes:
-            notes.append(f"{name}: {len(some)} scenes to test in, not {config.scenes}")
+            notes.append(f"{name}: {counted(len(some), 'scene')} to test in, not {config.scenes}")
         own = {scene: tuple(sorted(rooms.episodes[scene])[: config.trajectories]) for scene in some}
         short = [scene for scene, names in own.items() if len(names) < config.trajectories]
         if short:
-            notes.append(f"{name}: {len(short)} scenes have fewer than {config.trajectories} episodes, {short[0]} first")
+            notes.append(
+                f"{name}: {counted(len(short), 'scene has', 'scenes have')} fewer "
+                f"than {counted(config.trajectories, 'episode')}, {short[0]} first"
+            )
         chosen |= own
     return chosen, tuple(notes)

@@ -7,14 +7,15 @@ from collections.abc import Iterator
 
 import click
 
-from flows.cli import cli
+from flows.cli import EXIT_CODES, cli
 
-_HEAD = """# Commands
+_HEAD = f"""# Commands
 
 What `--help` says of each. Written by `make pages` from the commands.
 
-Exit codes: 0 done, 1 some scenes failed or something is not as it should be, 2 misuse or input that cannot be used, 3 a defect,
-130 interrupted, 141 nobody reads on, 143 terminated.
+Exit codes: {", ".join(f"{code} {text}" for code, text in EXIT_CODES.items())}.
+
+`METASCENES_LAKE` in the environment names the lake of every command that is given no `--lake`.
 """
 
 

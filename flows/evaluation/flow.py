@@ -18,6 +18,7 @@ from flows.run.scene import STAGE_SECONDS
 from flows.server.artifacts import run_log, short_name
 from flows.server.here import keep
 from flows.server.scene_tasks import SceneWay, fanned_out, workers_for
+from schemas.wording import counted
 from warehouse.lake import Lake
 
 ACTION_SECONDS = 4.0
@@ -91,6 +92,9 @@ def _state(done: Sequence[Evaluated]) -> State[Any]:
     failed = [f"{each.policy}: {line}" for each in done for line in each.failed]
     for line in failed:
         run_log(line, warning=True)
-    summary = "; ".join(f"{each.policy}, {each.run_name}: {each.new} of {each.trajectories} trajectories measured" for each in done)
+    summary = "; ".join(
+        f"{each.policy}, {each.run_name}: {each.new} of {counted(each.trajectories, 'trajectory', 'trajectories')} measured"
+        for each in done
+    )
     run_log(summary)
     return Failed(message=f"{summary}; {failed[0]}", data=done) if failed else Completed(message=summary, data=done)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from schemas.errors import InputError
 from schemas.files import write_whole
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from schemas.indexing import LibraryModel
@@ -44,7 +45,7 @@ def _picture(models: Sequence[LibraryModel], blobs: Mapping[str, bytes]) -> byte
     import PIL.ImageDraw
 
     if len(models) > MOST_DRAWN:
-        problem = f"{len(models)} models do not fit into a picture of {MOST_DRAWN}"
+        problem = f"{counted(len(models), 'model does', 'models do')} not fit into a picture of {MOST_DRAWN}"
         raise InputError("library list", "--pictures", problem, "name a file that ends in .html, or one library")
     columns, high = min(COLUMNS, len(models)), CELL_PX + 2 * LINE_PX
     sheet = PIL.Image.new("RGB", (columns * CELL_PX, -(-len(models) // columns) * high), "white")

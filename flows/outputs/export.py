@@ -19,6 +19,7 @@ from schemas.errors import InputError
 from schemas.exports import ExportCheck, ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.lineage.licenses import OF_THE_SCAN
+from schemas.wording import meant
 from warehouse.lake import Lake
 from warehouse.release import snapshot_of
 from warehouse.release.licenses import Allowed
@@ -95,7 +96,8 @@ def chosen_exports(lake: Lake, reader: Reader, formats: Sequence[str] = (), scen
         if lacks:
             what = f"no {lacks[0]} export".replace("  ", " ")
             only = f"it has {', '.join(sorted(has[scene]))}; " if has.get(scene) else ""
-            raise InputError(lake.address, "export_files", f"{what} of {scene}", f"{only}see `metascenes status`")
+            near = "" if scene in known else meant(scene, known)
+            raise InputError(lake.address, "export_files", f"{what} of {scene}", f"{near}{only}see `metascenes scenes`")
     for name in wanted:
         if name not in there:
             only = f"it has {', '.join(sorted(there))}; " if there else ""
@@ -104,10 +106,10 @@ def chosen_exports(lake: Lake, reader: Reader, formats: Sequence[str] = (), scen
     if not rows:
         raise InputError(lake.address, "export_files", "the lake has no exports", "see `metascenes status`")
     held = {row.format for row in everything}
-    meant = wanted if formats else tuple(name for name in EXPORT_FORMATS if name in held)
+    expected = wanted if formats else tuple(name for name in EXPORT_FORMATS if name in held)
     missing = []
     for scene in sorted(set(scenes) or {*known, *has}):
-        lacks = [name for name in meant if name not in has.get(scene, ())]
+        lacks = [name for name in expected if name not in has.get(scene, ())]
         if lacks:
             missing.append(f"{scene}: no {', '.join(lacks) if has.get(scene) else ''} export".replace("  ", " "))
     absent = () if formats else tuple(name for name in EXPORT_FORMATS if name not in held)

@@ -15,6 +15,7 @@ from schemas.exports import ExportCheck, ExportFile
 from schemas.lineage.licenses import UNKNOWN, of_asset, scan_of, stated
 from schemas.navigation import Episode
 from schemas.optimization import Placement, Support
+from schemas.wording import counted
 from warehouse.lake import Lake
 from warehouse.release.attribution import attribution_of_rows, cell
 from warehouse.release.licenses import Allowed, with_licenses_of_scans
@@ -58,8 +59,9 @@ class Shipment:
         scenes = [entry for entry in self.left_out if entry.instance_id is None]
         objects = [entry for entry in self.left_out if entry.instance_id is not None]
         lines = ["# What was left out", "", f"Allowed licenses: {', '.join(allowed.names)}.", ""]
-        lines += [f"{len(scenes)} scenes, {len(objects)} objects in {len(self.kept)} other scenes, and {self.episodes} navigation"
-                  " episodes whose target is one of these objects.", ""]  # fmt: skip
+        lines += [f"{counted(len(scenes), 'scene')}, {counted(len(objects), 'object')} in "
+                  f"{counted(len(self.kept), 'other scene')}, and {counted(self.episodes, 'navigation episode')} "
+                  "whose target is one of these objects.", ""]  # fmt: skip
         if self.kept:
             lines += ["Scenes without some of their objects were made again from the rest and checked again. What stood on or in an object",
                       "that was left out is left out too: it would hang in the air. The navmesh is the one of the whole scene: where such",
@@ -269,5 +271,5 @@ def left_out_lines(sent: Shipment) -> list[str]:
     scenes = [entry for entry in sent.left_out if entry.instance_id is None]
     objects = Counter(entry.license or "carried by one that is left out" for entry in sent.left_out if entry.instance_id is not None)
     lines = [f"left out: scene {entry.scene_id}: {entry.reason} ({entry.license or 'see its objects'})" for entry in scenes]
-    lines += [f"left out: {count} objects: {license_}" for license_, count in sorted(objects.items())]
-    return [*lines, f"left out: {sent.episodes} episodes without a target"] if sent.episodes else lines
+    lines += [f"left out: {counted(count, 'object')}: {license_}" for license_, count in sorted(objects.items())]
+    return [*lines, f"left out: {counted(sent.episodes, 'episode')} without a target"] if sent.episodes else lines

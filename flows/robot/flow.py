@@ -19,6 +19,7 @@ from flows.server.artifacts import run_log, short_name
 from flows.server.here import keep
 from flows.server.scene_tasks import SceneWay, fanned_out, workers_for
 from schemas.families.policies import POLICIES
+from schemas.wording import counted
 from warehouse.lake import Lake
 
 SIMULATED = 10.0
@@ -103,6 +104,6 @@ def _state(done: Driven) -> State[Any]:
     """How the run ends: failed where a scene did."""
     for line in done.failed:
         run_log(line, warning=True)
-    summary = f"{done.new} of {done.runs} runs in {done.scenes} scenes driven"
+    summary = f"{done.new} of {counted(done.runs, 'run')} in {counted(done.scenes, 'scene')} driven"
     run_log(summary)
     return Failed(message=f"{summary}; {done.failed[0]}", data=done) if done.failed else Completed(message=summary, data=done)

@@ -10,6 +10,7 @@ import pyarrow.compute as pc
 
 from schemas.calls import ModelCall
 from schemas.errors import InputError
+from schemas.wording import counted
 from tasks.calls.exchange import EndpointAway
 from tasks.calls.ledger import NoFurtherCall
 from warehouse.lake import Lake
@@ -136,6 +137,6 @@ class LakeLedger:
             self._spent = (stamp, float(pc.sum(rows.column("cost_usd")).as_py() or 0.0), rows.num_rows)
         cost, count = self._spent[1] + sum(call.cost_usd for call in pending), self._spent[2] + len(pending)
         if rules.budget_usd is not None and cost >= rules.budget_usd:
-            raise BudgetSpent(f"{SPENT}: {count} calls for {cost:.4g} of {rules.budget_usd:g} USD; run again to go on")
+            raise BudgetSpent(f"{SPENT}: {counted(count, 'call')} for {cost:.4g} of {rules.budget_usd:g} USD; run again to go on")
         if rules.most_calls is not None and count >= rules.most_calls:
-            raise BudgetSpent(f"{SPENT}: {count} of {rules.most_calls} calls, for {cost:.4g} USD; run again to go on")
+            raise BudgetSpent(f"{SPENT}: {count} of {counted(rules.most_calls, 'call')}, for {cost:.4g} USD; run again to go on")

@@ -6,6 +6,8 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from schemas.wording import counted
+
 if TYPE_CHECKING:
     from flows.run.plan import Plan
     from flows.run.report import RunReport
@@ -148,11 +150,11 @@ def _failure_of(report: RunReport) -> dict[str, tuple[str, str]]:
 def todo(plan: Plan) -> str:
     """What there is to do, in a line."""
     counts = plan.counts()
-    parts = [f"{len(plan.todo)} of {len(plan.scenes)} scenes to do", f"{counts['run']} stage runs"]
+    parts = [f"{len(plan.todo)} of {counted(len(plan.scenes), 'scene')} to do", f"{counted(counts['run'], 'stage run')}"]
     if counts["report"]:
         parts.append(f"{counts['report']} failed before on unchanged input")
     if plan.unusable:
-        parts.append(f"{len(plan.unusable)} scans cannot be used")
+        parts.append(f"{counted(len(plan.unusable), 'scan')} cannot be used")
     return ", ".join(parts)
 
 

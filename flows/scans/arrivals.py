@@ -17,6 +17,7 @@ from flows.run.identity import Content, content_of, recorded_content, same_scene
 from flows.scans.choice import DAY_SECONDS, ScanSource, scan_source
 from flows.scans.listing import ScanListing, files_of
 from schemas.errors import InputError
+from schemas.wording import counted
 from tasks.capture.formats import survey
 from tasks.capture.scan import Scan
 from tasks.capture.wholeness import Gap, find_gap, is_temporary
@@ -87,7 +88,10 @@ class Look:
             if not ended.get(arrival.run, True):
                 self.arrivals[index] = dataclasses.replace(arrival, why=f"run {arrival.run} is under way")
             elif arrival.attempt >= ATTEMPTS and self._is_of_today(arrival):
-                why = f"{arrival.attempt} runs ended and it is not in the lake; the last is {arrival.run}; it is tried again once a day"
+                why = (
+                    f"{counted(arrival.attempt, 'run')} ended and it is not in the "
+                    f"lake; the last is {arrival.run}; it is tried again once a day"
+                )
                 self.arrivals[index] = dataclasses.replace(arrival, state="failed before", why=why)
             else:
                 due.append(arrival)
@@ -369,7 +373,7 @@ class WatchReport:
         total = len(self.new) + len(self.changed) + len(self.waiting) + len(self.failed_before) + self.known
         counts = {"new": len(self.new), "changed": len(self.changed), "waiting": len(self.waiting),
                   "failed before": len(self.failed_before), "known": self.known, "asked for": len(self.asked)}  # fmt: skip
-        return f"{total} scans: " + (", ".join(f"{count} {name}" for name, count in counts.items() if count) or "nothing")
+        return f"{counted(total, 'scan')}: " + (", ".join(f"{count} {name}" for name, count in counts.items() if count) or "nothing")
 
 
 def watch_report(latest: Look, asked: Iterable[Arrival] = (), run: str = "", failures: Iterable[str] = ()) -> WatchReport:

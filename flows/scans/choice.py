@@ -13,6 +13,7 @@ from typing import Protocol
 
 from flows.scans.listing import ScanListing, listings
 from schemas.errors import InputError, check_address
+from schemas.wording import meant
 from tasks.capture.formats import find_scans, scan_files
 from tasks.capture.premises import stores
 from tasks.capture.scan import Scan
@@ -172,7 +173,8 @@ def chosen(
     for pattern in scenes:
         if pattern not in names and not (pattern in patterns and any(_matches(scan, pattern) for scan in scans)):
             known = ", ".join(scan.scene_id for scan in scans[:3]) + (", ..." if len(scans) > 3 else "")
-            raise InputError("--scene", pattern, f"no scan matches, of {len(scans)}", f"there are {known}" if scans else "look at --scans")
+            remedy = f"{meant(pattern, sorted(names))}there are {known}" if scans else "look at --scans"
+            raise InputError("--scene", pattern, f"no scan matches, of {len(scans)}", remedy)
     if first is not None and last is not None and ("/" in first) == ("/" in last) and first > last:
         raise InputError("--first", first, f"is after --last {last}", "swap them")
     start, end = _moment(since, "--since")[0], _moment(until, "--until")[1]

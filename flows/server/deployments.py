@@ -5,6 +5,7 @@ limits, and notifications. Doing it again changes what is different and leaves o
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import re
 import subprocess
@@ -74,19 +75,46 @@ class Schedule:
                 raise InputError(f"--{name}", getattr(self, name), "cannot be used", "name it in full")
             check_address(getattr(self, name), f"--{name}")
 
-    def check_crons(self) -> None:
-        """Refuse what is no cron line."""
-        from prefect.client.schemas.schedules import CronSchedule
+    def check_crons(self, apart: bool = False) -> None:
+        """Refuse what is no cron line. Prefect says what is one, where it is not to be imported yet in a process of its own (`apart`):
+        it reads the environment once, when it is imported.
 
-        for name in ("nightly", "watch", "weekly"):
-            try:
-                CronSchedule(cron=getattr(self, name), timezone=self.timezone)
-            except ValueError as error:
-                raise InputError(f"--{name}", getattr(self, name), "is no cron line", "as in '0 1 * * *', every night at one") from error
+        Raises:
+            InputError: names the option.
+        """
+        crons = {name: getattr(self, name) for name in ("nightly", "watch", "weekly")}
+        refused = _refused_apart(crons) if apart else refused_cron(crons)
+        if refused is not None:
+            raise InputError(f"--{refused}", crons[refused], "is no cron line", "as in '0 1 * * *', every night at one")
 
     def environment(self) -> dict[str, str]:
         """The variables that `prefect.yaml` reads."""
         return {f"METASCENES_{field.name.upper()}": getattr(self, field.name) for field in dataclasses.fields(self)}
+
+
+def refused_cron(crons: Mapping[str, str]) -> str | None:
+    """The name of the first line that is none of cron's; None where all are."""
+    from prefect.client.schemas.schedules import CronSchedule
+
+    for name, line in crons.items():
+        try:
+            CronSchedule(cron=line)
+        except ValueError:
+            return name
+    return None
+
+
+def _refused_apart(crons: Mapping[str, str]) -> str | None:
+    """The same, asked in a process of its own."""
+    from flows.server.services import NO_TELEMETRY
+
+    code = "import json, sys; from flows.server.deployments import refused_cron; print(refused_cron(json.load(sys.stdin)) or '')"
+    environment = {**NO_TELEMETRY, **os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    asked = subprocess.run([sys.executable, "-c", code], input=json.dumps(crons), env=environment, capture_output=True, text=True)
+    printed = asked.stdout.split()  # a library may say something before
+    return (
+        printed[-1] if asked.returncode == 0 and printed and printed[-1] in crons else None
+    )  # what else went wrong the server's set-up will say
 
 
 def lake_name(address: str) -> str:

@@ -15,6 +15,7 @@ from schemas.errors import InputError
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Placement
 from schemas.record import arrow_to_rows
+from schemas.wording import meant
 from tasks.settings import fields_of, nearest
 from tasks.simulation.configuration import SimulationConfig
 from tasks.simulation.world import World, world_of
@@ -143,7 +144,7 @@ class EpisodeScenes:
             if scene not in known:
                 is_there = self._reader.matching("scenes", {"scene_id": [scene]}, ["scene_id"]).num_rows
                 problem = f"{scene} has no episodes" if is_there else f"there is no {scene}"
-                raise InputError(self.address, "scenes", problem, nearest(scene, sorted(known)[:20], "there are"))
+                raise InputError(self.address, "scenes", problem, f"{meant(scene, sorted(known))}there are {', '.join(sorted(known)[:20])}")
         wanted = [row for row in rows if not selected.scenes or row["scene_id"] in selected.scenes]
         chosen = [row for row in wanted if selected.split in (None, row["split"])]
         if not chosen:

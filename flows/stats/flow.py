@@ -19,6 +19,7 @@ from flows.run.parameters import Address
 from flows.server.artifacts import Ticker, link_of, public_address, short_name
 from flows.stats.report import Written, write_report
 from schemas.errors import InputError
+from schemas.wording import counted
 from tasks.stats.columns import GRIDS
 from tasks.stats.grids import Grid, grid
 from tasks.stats.style import Picture
@@ -93,7 +94,7 @@ def statistics(
                 folder, _, name = place.rpartition("/")
                 storage_at(folder).write(name, written.path.read_bytes())
         keys = leave_artifacts(written, place)
-        ticker.finish(f"{place}, {len(keys)} artifacts")
+        ticker.finish(f"{place}, {counted(len(keys), 'artifact')}")
     finally:
         ticker.close()
     return place
@@ -120,7 +121,7 @@ def leave_artifacts(written: Written, address: str) -> list[str]:
     for view in TABLES:
         caption, columns = GRIDS[view]
         shown = grid(caption, view, written.answers.rows[view], columns, written.answers.totals.get(view))
-        cut = f" First {len(shown.rows)} of {shown.total} rows." if len(shown.rows) < shown.total else ""
+        cut = f" First {len(shown.rows)} of {counted(shown.total, 'row')}." if len(shown.rows) < shown.total else ""
         create_table_artifact(table=_records(shown), key=_key(view), description=f"{caption}. View `{view}`. {about}{cut}")
         keys.append(_key(view))
     for picture in written.pictures:

@@ -14,6 +14,7 @@ from schemas.fidelity import Fidelity
 from schemas.lineage.licenses import of_asset
 from schemas.optimization import Certificate, Placement, Support
 from schemas.selection import Selection
+from schemas.wording import noun
 from tasks.lineage.words import UNRECORDED, number, scaled
 
 Facts = list[list[str]]
@@ -124,7 +125,15 @@ def _placed(
     if row.displacement_m is not None:
         facts.append(["moved", f"{scaled(row.displacement_m, 100)} cm aside, {scaled(row.lift_m, 100)} cm up, by the {row.method} method"])
     if row.collider_pieces is not None:
-        facts.append(["collider", f"{number(row.collider_pieces)} convex pieces, {number(row.collider_faces)} faces"])
+        facts.append(
+            [
+                "collider",
+                (
+                    f"{number(row.collider_pieces)} {noun(row.collider_pieces, 'convex piece')}, "
+                    f"{number(row.collider_faces)} {noun(row.collider_faces or 0, 'face')}"
+                ),
+            ]
+        )
     return facts
 
 

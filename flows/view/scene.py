@@ -22,6 +22,7 @@ from schemas.fidelity import Fidelity, SceneFidelity
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Certificate, Contact, Optimization, Placement, Support
 from schemas.selection import Selection
+from schemas.wording import counted, meant, noun
 from warehouse.lake import Lake
 
 Document = dict[str, Any]
@@ -97,6 +98,10 @@ class Scenes:
             raise InputError(self.lake.address, address, "there is no such object", f"see `metascenes explain {scene_id}`")
         return scene_id, instance_id
 
+    def _unknown(self, scene_id: str) -> InputError:
+        known = self.reader.matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist()
+        return InputError(self.lake.address, scene_id, "there is no such scene", f"{meant(scene_id, known)}see `metascenes scenes`")
+
     def shown(self, scene_id: str) -> Shown:
         """A scene as it is shown.
 
@@ -137,7 +142,7 @@ class Scenes:
 
         scenes = read.rows(Scene, scene_id)
         if not scenes:
-            raise InputError(self.lake.address, scene_id, "there is no such scene", "see `metascenes status`")
+            raise self._unknown(scene_id)
         scene, shells = scenes[0], read.rows(Shell, scene_id)
         placements, candidates = read.rows(Placement, scene_id), read.rows(Candidate, scene_id)
         named = {row.asset_id for row in placements} | {row.asset_id for row in candidates if row.asset_id}
@@ -204,7 +209,7 @@ class Scenes:
         """
         rows = self.reader.rows(Scene, scene_id)
         if not rows:
-            raise InputError(self.lake.address, scene_id, "there is no such scene", "see `metascenes status`")
+            raise self._unknown(scene_id)
         return rows[0].scan_path
 
     def frame(self, scene_id: str, frame_id: str) -> Frame:
@@ -232,15 +237,26 @@ def _room(row: Shell) -> Document:
 
 def _facts(scene: Scene, shells: list[Shell], optimizations: list[Optimization], fidelity: list[SceneFidelity]) -> list[list[str]]:
     facts = [["dataset", scene.dataset], ["format", scene.scan_format], ["license", scene.license or "not stated"]]
-    facts += [["scan", f"{scene.vertex_count:,} vertices, {scene.face_count:,} faces, {scene.frame_count:,} frames"]]
+    facts += [
+        [
+            "scan",
+            (
+                f"{scene.vertex_count:,} {noun(scene.vertex_count, 'vertex', 'vertices')}, {scene.face_count:,} "
+                f"{noun(scene.face_count, 'face')}, {scene.frame_count:,} {noun(scene.frame_count, 'frame')}"
+            ),
+        ]
+    ]
     facts += [["room", f"{row.room_type}, {row.floor_area_m2:.1f} m², {row.height_m:.2f} m high"] for row in shells]
     for optimized in optimizations:
         facts.append(["objects", f"{optimized.object_count} placed, {optimized.fixed_count} fastened"])
-        facts.append(["overlaps", f"{optimized.deep_pairs} pairs deeper than 2 mm"])
+        facts.append(["overlaps", f"{counted(optimized.deep_pairs, 'pair')} deeper than 2 mm"])
         facts.append(
             [
                 "optimization",
-                f"{optimized.method}, {optimized.moves:,} moves, loss {optimized.loss_start:.3f} to {optimized.loss_final:.3f}",
+                (
+                    f"{optimized.method}, {optimized.moves:,} {noun(optimized.moves, 'move')}, "
+                    f"loss {optimized.loss_start:.3f} to {optimized.loss_final:.3f}"
+                ),
             ]
         )
     for row in fidelity:

@@ -759,7 +759,7 @@ def test_the_command_says_how_well_and_exits_as_a_scheduler_expects(lake: Lake, 
 
     planned = ask("--policy", "expert", "--dry-run")
     assert planned.returncode == 0
-    assert "40 trajectories in 1 scenes: 40 would be measured" in planned.stdout
+    assert "40 trajectories in 1 scene: 40 would be measured" in planned.stdout
     assert not lake.snapshot().rows(Trajectory)
     done = ask("--policy", "expert", "--policy", "random", "--json")
     assert done.returncode == 0, done.stderr

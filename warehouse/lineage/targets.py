@@ -13,6 +13,7 @@ from schemas.exports import ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.record import BLOB_PATTERN, INSTANCE_PATTERN, SCENE_PATTERN, arrow_to_rows
 from schemas.training import LearnedModel
+from schemas.wording import meant
 from warehouse.tables.snapshot import Reader
 
 _FORMS = "give <scene>/<instance>, a scene, the hash of an asset or a model, the name of a blob, or the path of an exported file"
@@ -57,7 +58,10 @@ def find_target(reader: Reader, address: str, asked: str) -> Target:
         files, obj = export_files(reader, asked), None
     if files:
         return Target("export", files=files, obj=obj)
-    raise InputError(address, "explain", f"snapshot {reader.snapshot_id} has nothing that is called {asked!r}", _FORMS)
+    known = reader.matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist()
+    word = scene if scene and re.fullmatch(INSTANCE_PATTERN, last) else asked
+    near = meant(word, known if "/" in word else [scene_id.rpartition("/")[2] for scene_id in known])
+    raise InputError(address, "explain", f"snapshot {reader.snapshot_id} has nothing that is called {asked!r}", f"{near}{_FORMS}")
 
 
 def split_object(asked: str) -> tuple[str, str | None]:

@@ -1,4 +1,4 @@
-"""Forms of an answer: a table for people, CSV, JSON, JSON Lines and Parquet, written batch by batch.
+"""Forms of an answer: a table for people, one with a line per column, CSV, JSON, JSON Lines and Parquet, written batch by batch.
 
 Values survive the way there and back: numbers are written with as many digits as they need, NULL is told from the empty
 text, lists and structs are JSON, times are ISO 8601 in UTC. Text is made by column, not by value: four million rows
@@ -17,10 +17,11 @@ import pyarrow.compute as pc
 
 from schemas.errors import InputError
 from schemas.text import escaped
+from schemas.wording import counted
 from warehouse.questions.sql import Answer
 
-Output = Literal["table", "csv", "json", "jsonl", "parquet"]
-OUTPUTS: tuple[Output, ...] = ("table", "csv", "json", "jsonl", "parquet")
+Output = Literal["table", "expanded", "csv", "json", "jsonl", "parquet"]
+OUTPUTS: tuple[Output, ...] = ("table", "expanded", "csv", "json", "jsonl", "parquet")
 
 # Characters beyond JSON's own that are written out: those that turn the reading direction over, hide or command a terminal.
 _COMMANDS = r"[\x7f\p{Cc}\p{Cf}\p{Zl}\p{Zp}]"
@@ -31,7 +32,8 @@ _TEXT = pa.large_string()  # a batch of wide rows may hold more than 2 GB
 def write_answer(answer: Answer, output: Output, sink: BinaryIO, limit: int | None = None) -> int:
     """Write an answer as UTF-8 text or Parquet; how many rows it has.
 
-    `limit` is how many rows a table shows at most; what else there is is counted, and said below it. Other outputs have all rows.
+    `limit` is how many rows a table, also an expanded one, shows at most; what else there is is counted, and said below it. Other
+    outputs have all rows.
 
     Raises:
         InputError: there is no such output, or what computes the rows fails.
@@ -39,6 +41,8 @@ def write_answer(answer: Answer, output: Output, sink: BinaryIO, limit: int | No
     match output:
         case "table":
             return _write_table(answer, sink, limit)
+        case "expanded":
+            return _write_expanded(answer, sink, limit)
         case "csv":
             sink.write((",".join(_csv_text(pa.array(answer.schema.names, _TEXT)).to_pylist()) + "\n").encode())
             return _write_lines(answer, sink, _csv_rows, "", "\n")
@@ -189,10 +193,30 @@ def _write_table(answer: Answer, sink: BinaryIO, limit: int | None, widest: int 
 
     rule = "  ".join("-" * width for width in widths)
     body = [line(row) for row in zip(*columns, strict=True)]
-    rows = f"{count} row{'' if count == 1 else 's'}"
-    last = f"({rows})" if data.num_rows == count else f"(the first {data.num_rows} of {rows})"
-    sink.write(("\n".join([line(names), rule, *body, last]) + "\n").encode())
+    sink.write(("\n".join([line(names), rule, *body, _last_line(data.num_rows, count)]) + "\n").encode())
     return count
+
+
+def _write_expanded(answer: Answer, sink: BinaryIO, limit: int | None) -> int:
+    """A line per column for each row, no cell cut, the row count below."""
+    names = [escaped(" ".join(name.split())) for name in answer.schema.names]
+    width = max(map(len, names), default=0)
+    shown = count = 0
+    for batch in answer.batches:
+        kept = batch.slice(0, batch.num_rows if limit is None else max(0, limit - shown))
+        columns = [_cells(pa.chunked_array([column])) for column in kept.columns]
+        for number, row in enumerate(zip(*columns, strict=True), shown + 1):
+            lines = [f"{name.ljust(width)}  {cell}".rstrip() for name, cell in zip(names, row, strict=True)]
+            sink.write(("\n".join([f"[row {number}]", *lines]) + "\n").encode())
+        shown += kept.num_rows
+        count += batch.num_rows
+    sink.write(f"{_last_line(shown, count)}\n".encode())
+    return count
+
+
+def _last_line(shown: int, count: int) -> str:
+    rows = counted(count, "row")
+    return f"({rows})" if shown == count else f"(the first {shown} of {rows})"
 
 
 def _cells(column: pa.ChunkedArray) -> list[str]:

@@ -13,7 +13,7 @@ import json
 import re
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
@@ -27,6 +27,8 @@ from warehouse.tables.snapshot import Reader
 
 if TYPE_CHECKING:
     import duckdb
+
+    from warehouse.questions.attached import Attached
 
 BATCH_ROWS = 100_000
 """Rows of an answer that are held at a time: a few tens of MB of the widest tables."""
@@ -111,14 +113,24 @@ def query(reader: Reader, sql: str) -> pa.Table:
 
 
 @contextlib.contextmanager
-def ask(reader: Reader, sql: str, *, timeout: float | None = None, memory_mb: int | None = None) -> Iterator[Answer]:
+def ask(
+    reader: Reader,
+    sql: str,
+    *,
+    timeout: float | None = None,
+    memory_mb: int | None = None,
+    attached: Sequence[Attached] = (),
+    begun: Callable[[Callable[[], None]], None] = lambda end: None,
+) -> Iterator[Answer]:
     """The answer to SQL on a snapshot: ``with ask(reader, "FROM scenes") as answer: ...``.
 
+    `attached` are files beside the lake's tables (`warehouse.questions.attached`). `begun` is called with what ends the work at once
+    when another thread calls it.
     `timeout` [s] ends it, rows taken included. Beyond `memory_mb` [MB] sorts and joins go on in temporary files; values
     that are built whole, such as one list of everything, count only in part.
 
     Raises:
-        InputError: it does not only read, DuckDB refuses it, or it takes too long or too much memory.
+        InputError: it does not only read, DuckDB refuses it, it takes too long or too much memory, or was ended.
     """
     read_only(sql)
     with contextlib.ExitStack() as stack:
@@ -127,15 +139,16 @@ def ask(reader: Reader, sql: str, *, timeout: float | None = None, memory_mb: in
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="metascenes-sql-"))
             settings |= {"memory_limit": f"{memory_mb}MB", "temp_directory": folder, "max_temp_directory_size": _SPILL}
         names = asked_by(sql)
-        connection = stack.enter_context(reader.connect(settings, names))
+        connection = stack.enter_context(reader.connect(settings, names, attached))
         if names is not None and not _is_answered(connection, sql):  # DuckDB's refusal then names what comes near, of all there is
-            connection = stack.enter_context(reader.connect(settings))
+            connection = stack.enter_context(reader.connect(settings, attached=attached))
         alarm = _Alarm(connection, timeout)
         stack.callback(alarm.stop)
-        with _plain_errors(alarm):
+        begun(alarm.end)
+        with _plain_errors(alarm, attached):
             relation = connection.sql(sql)
             stream = _portable(relation).to_arrow_reader(BATCH_ROWS)
-        yield Answer(stream.schema, _batches(stream, alarm))
+        yield Answer(stream.schema, _batches(stream, alarm, attached))
 
 
 def _is_answered(connection: duckdb.DuckDBPyConnection, sql: str) -> bool:
@@ -149,9 +162,9 @@ def _is_answered(connection: duckdb.DuckDBPyConnection, sql: str) -> bool:
     return True
 
 
-def _batches(stream: pa.RecordBatchReader, alarm: _Alarm) -> Iterator[pa.RecordBatch]:
+def _batches(stream: pa.RecordBatchReader, alarm: _Alarm, attached: Sequence[Attached]) -> Iterator[pa.RecordBatch]:
     while True:
-        with _plain_errors(alarm):
+        with _plain_errors(alarm, attached):
             if alarm.has_rung:
                 raise alarm.error
             try:
@@ -162,10 +175,10 @@ def _batches(stream: pa.RecordBatchReader, alarm: _Alarm) -> Iterator[pa.RecordB
 
 
 class _Alarm:
-    """Interrupts a connection when its time is up."""
+    """Interrupts a connection when its time is up, or when somebody ends it."""
 
     def __init__(self, connection: duckdb.DuckDBPyConnection, timeout: float | None) -> None:
-        self._connection, self._timeout, self.has_rung = connection, timeout, False
+        self._connection, self._timeout, self.has_rung, self._is_ended = connection, timeout, False, False
         self._timer = threading.Timer(timeout, self._ring) if timeout else None
         if self._timer:
             self._timer.daemon = True
@@ -174,7 +187,14 @@ class _Alarm:
     @property
     def error(self) -> InputError:
         """What to say when it has rung."""
+        if self._is_ended:
+            return InputError("SQL", "", "it was interrupted")
         return InputError("SQL", "", f"it takes longer than {self._timeout:g} s", "ask for less, or give it more time")
+
+    def end(self) -> None:
+        """Ring now. From another thread than that of the question."""
+        self._is_ended = True
+        self._ring()
 
     def stop(self) -> None:
         """Never ring any more. A thread that still held the connection as the process ends would make DuckDB complain."""
@@ -188,7 +208,7 @@ class _Alarm:
 
 
 @contextlib.contextmanager
-def _plain_errors(alarm: _Alarm) -> Iterator[None]:
+def _plain_errors(alarm: _Alarm, attached: Sequence[Attached]) -> Iterator[None]:
     """Errors of DuckDB, which come through Arrow while rows are taken, in one line."""
     import duckdb
 
@@ -201,7 +221,10 @@ def _plain_errors(alarm: _Alarm) -> Iterator[None]:
             raise alarm.error from error
         if isinstance(error, MemoryError | duckdb.OutOfMemoryException) or "Out of Memory" in str(error):
             raise InputError("SQL", "", "it takes more memory than it may", "ask for less, or give it more memory") from error
-        raise InputError("SQL", "", _line(error)) from error
+        text = str(error)
+        for each in attached:
+            text = text.replace(each.link, str(each.path))
+        raise InputError("SQL", "", _line(text)) from error
 
 
 def _portable(relation: duckdb.DuckDBPyRelation) -> duckdb.DuckDBPyRelation:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from schemas.lineage.licenses import is_partly_unknown, is_unknown
 from schemas.runs import Release
 from schemas.tables import TABLES
+from schemas.wording import noun
 from warehouse.release.attribution import Attribution, cell
 from warehouse.release.catalog import variable_of
 
@@ -169,11 +170,23 @@ def _limits(release: Release, ask: _Answers, attribution: Attribution) -> str:
     lines = [
         "## Known limits",
         "",
-        f"- {fallbacks:,} of {answers:,} answers of captions and candidates are fallbacks: their provider had nothing, another stood in.",
-        f"- {unplaced:,} of {release.objects:,} objects have no asset in their place.",
-        f"- {unstable:,} placed objects do not stay within 5 cm and 5 degrees; {refused:,} could not be simulated (`unstable_objects`).",
-        f"- {unreachable:,} objects are such that no episode could be made for them (`unreachable_objects` says why).",
-        f"- {unknown[0]:,} scans and {unknown[1]:,} placed assets have no known license; {authors:,} placed assets no known author.",
+        (
+            f"- {fallbacks:,} of {answers:,} {noun(answers, 'answer')} of captions and candidates "
+            f"{noun(fallbacks, 'is a fallback', 'are fallbacks')}: their provider had nothing, another stood in."
+        ),
+        f"- {unplaced:,} of {release.objects:,} {noun(release.objects, 'object')} {noun(unplaced, 'has', 'have')} no asset in their place.",
+        (
+            f"- {unstable:,} {noun(unstable, 'placed object does', 'placed objects do')} not stay "
+            f"within 5 cm and 5 degrees; {refused:,} could not be simulated (`unstable_objects`)."
+        ),
+        (
+            f"- {unreachable:,} {noun(unreachable, 'object is', 'objects are')} such "
+            f"that no episode could be made for them (`unreachable_objects` says why)."
+        ),
+        (
+            f"- {unknown[0]:,} {noun(unknown[0], 'scan')} and {unknown[1]:,} placed {noun(unknown[1], 'asset')} "
+            f"have no known license; {authors:,} placed {noun(authors, 'asset')} no known author."
+        ),
         "",
         "What had to be left out or done otherwise (`degradation_counts`):",
         "",

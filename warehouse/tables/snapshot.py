@@ -26,6 +26,8 @@ from warehouse.tables.released import released
 if TYPE_CHECKING:
     import duckdb
 
+    from warehouse.questions.attached import Attached
+
 R = TypeVar("R")
 
 
@@ -130,25 +132,30 @@ class Reader:
             rows = pa.concat_tables([rows, former.filter(former.column(mark).is_valid()).select(wanted)])
         return rows.sort_by([(name, "ascending") for name in table.key])
 
-    def connect(self, settings: Mapping[str, str | int] | None = None, names: frozenset[str] | None = None) -> duckdb.DuckDBPyConnection:
-        """A DuckDB connection with one view per table and per question, comments included.
+    def connect(
+        self,
+        settings: Mapping[str, str | int] | None = None,
+        names: frozenset[str] | None = None,
+        attached: Sequence[Attached] = (),
+    ) -> duckdb.DuckDBPyConnection:
+        """A DuckDB connection with one view per table and per question, comments included, and one for each attached file.
 
         With `names`, of the questions only these, and no comments of tables: made in a third of the time.
 
-        It can read this snapshot's files and nothing else, and its settings are locked; `settings` are DuckDB's, such as
-        `memory_limit`, `threads` and `temp_directory`.
+        It can read this snapshot's files, those that are attached and nothing else, and its settings are locked; `settings` are
+        DuckDB's, such as `memory_limit`, `threads` and `temp_directory`.
 
         It can still write over those very files when asked to: run other people's SQL through `warehouse.questions.sql.query`.
 
         Raises:
-            InputError: a data file of the snapshot is missing or damaged.
+            InputError: a data file of the snapshot is missing or damaged, or an attached file cannot be read any more.
         """
         import duckdb
 
         connection = duckdb.connect(":memory:", config=dict(settings or {}))
         self._storage.register(connection)
         paths = {table: [self._storage.duckdb_path(file) for file in self.files(table)] for table in TABLES}
-        allowed = listed(path for files in paths.values() for path in files)
+        allowed = listed([*(path for files in paths.values() for path in files), *(each.link for each in attached)])
         connection.execute(f"SET allowed_paths = [{allowed}]")
         connection.execute("SET enable_external_access = false")
         connection.execute("SET TimeZone = 'UTC'")
@@ -166,6 +173,12 @@ class Reader:
             self._check_files()
             raise error
         views.install(connection, names)
+        for each in attached:
+            try:
+                connection.execute(each.statement)
+            except duckdb.Error as error:
+                connection.close()
+                raise each.refusal(error) from error
         connection.execute("COMMIT")
         connection.execute("SET lock_configuration = true")
         return connection

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from schemas.wording import meant
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -39,7 +41,9 @@ def chosen_words(text: str, known: tuple[str, ...], option: str) -> tuple[str, .
     words = listed_words(text) or known
     unknown = [word for word in words if word not in known]
     if unknown:
-        raise click.BadParameter(f"{unknown[0]!r} is none of {', '.join(known)}", param_hint=option)
+        raise click.BadParameter(
+            f"{unknown[0]!r} is none of {', '.join(known)}; {meant(unknown[0], known)}".rstrip("; "), param_hint=option
+        )
     return words
 
 

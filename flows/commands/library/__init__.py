@@ -15,6 +15,7 @@ import click
 
 from flows.commands.options import existing_lake, json_option, lake_option, settings_options
 from schemas.text import shown
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from flows.library.adding import LibraryContents
@@ -129,7 +130,11 @@ def remove(name: str, dry_run: bool, address: str, as_json: bool) -> None:
 
     row = remove_library(existing_lake(address), name, dry_run)
     state = "would be removed" if dry_run else "removed"
-    print(json.dumps({"state": state, **dataclasses.asdict(row)}) if as_json else f"library {name}: {row.model_count} models {state}")
+    print(
+        json.dumps({"state": state, **dataclasses.asdict(row)})
+        if as_json
+        else f"library {name}: {counted(row.model_count, 'model')} {state}"
+    )
 
 
 def _plain(contents: LibraryContents) -> dict[str, object]:
@@ -148,7 +153,7 @@ def _refusals(contents: LibraryContents) -> list[str]:
 
 def _counts(contents: LibraryContents) -> str:
     row = contents.library
-    return f"{row.model_count} models, {row.duplicate_count} of them duplicates, {row.refused_count} files refused"
+    return f"{counted(row.model_count, 'model')}, {row.duplicate_count} of them duplicates, {counted(row.refused_count, 'file')} refused"
 
 
 def _library_line(contents: LibraryContents) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flows.commands.options import end_with_failures, json_option, scans_options, settings_options
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from flows.scans.storeys import ScanStoreys
@@ -60,11 +61,16 @@ def _lines(row: ScanStoreys, dry_run: bool) -> list[str]:
         lines = [f"{row.scene_id:<40} failed"]
     else:
         verb = "would be divided" if dry_run and row.action == "divided" else row.action
-        lines = [f"{row.scene_id:<40} {len(row.floors)} storeys, floors at {', '.join(f'{high:.2f}' for high in row.floors)} m: {verb}"]
+        lines = [
+            (
+                f"{row.scene_id:<40} {counted(len(row.floors), 'storey')}, floors "
+                f"at {', '.join(f'{high:.2f}' for high in row.floors)} m: {verb}"
+            )
+        ]
     return [*lines, *(f"  {note}" for note in row.notes)]
 
 
 def _summary(done: list[ScanStoreys], unusable: int, dry_run: bool) -> str:
     counts = {action: sum(row.action == action for row in done) for action in ("divided", "unchanged", "whole", "failed")}
-    divided = f"{counts['divided']} scans {'would be divided' if dry_run else 'divided'}"
+    divided = f"{counted(counts['divided'], 'scan')} {'would be divided' if dry_run else 'divided'}"
     return f"{divided}, {counts['unchanged']} unchanged, {counts['whole']} of one storey, {counts['failed'] + unusable} failed"

@@ -20,6 +20,7 @@ from flows.commands.options import (
     snapshot_options,
     workers_option,
 )
+from schemas.wording import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -140,8 +141,11 @@ def _tell_plan(store: Lake, planned: PlannedComparison, as_json: bool) -> None:
     for each in trainings:
         print(f"{each['training_id']}  {each['trained_on']}, seed {each['seed']}: {each['state']}")
     for scene, names in sorted(planned.episodes.items()):
-        print(f"{scene}: {len(names)} episodes")
-    print(f"{planned.comparison_id}: {to_train} models would be trained, {to_measure} trajectories measured")
+        print(f"{scene}: {counted(len(names), 'episode')}")
+    print(
+        f"{planned.comparison_id}: {counted(to_train, 'model')} would be "
+        f"trained, {counted(to_measure, 'trajectory', 'trajectories')} measured"
+    )
     for note in planned.notes:
         print(f"note: {note}", file=sys.stderr)
 
@@ -150,7 +154,9 @@ def _tell(done: Compared) -> None:
     """The comparison, for people."""
     for note in done.notes:
         print(f"note: {note}", file=sys.stderr)
-    print(f"{done.comparison_id}: {done.trained} models trained, {done.measured} trajectories measured")
+    print(
+        f"{done.comparison_id}: {counted(done.trained, 'model')} trained, {counted(done.measured, 'trajectory', 'trajectories')} measured"
+    )
     table = [("trained on", "tested on", "seeds", "n", "SR", "95 % interval", "EL", "curvature", "SEL", "SPL", "at 1 m in view")]
     for row in done.rows:
         seen = "" if row["found"] is None else f"{row['found']:.3f}"

@@ -25,6 +25,7 @@ from schemas.capture import Instance, Shell
 from schemas.errors import InputError
 from schemas.optimization import Certificate
 from schemas.selection import Selection
+from schemas.wording import meant, noun
 from tasks.annotation import SCHEMA_FILE, BatchActs
 from tasks.annotation.picking import assigned, doubts, picked
 from tasks.annotation.revisions import latest
@@ -130,7 +131,8 @@ def _planned(reader: Reader, plan: BatchPlan, again: bool, configuration: Config
     instances: list[Instance] = _rows(reader, Instance, plan.scenes)
     unknown = sorted(set(plan.scenes) - {row.scene_id for row in instances})
     if unknown:
-        raise InputError("--scene", unknown[0], "is not in the lake", "`metascenes status` names its scenes")
+        known = reader.matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist()
+        raise InputError("--scene", unknown[0], "is not in the lake", f"{meant(unknown[0], known)}`metascenes scenes` names its scenes")
     by_batch: dict[str, list[Annotation]] = {}
     for answer in _rows(reader, Annotation, plan.scenes):
         by_batch.setdefault(answer.batch_id, []).append(answer)
@@ -175,7 +177,12 @@ def asked_of(reader: Reader, batch: WorkBatch, assignments: Sequence[Assignment]
     instances = [row for row in _rows(reader, Instance, scenes) if (row.scene_id, row.instance_id) in keys]
     gone = keys - {(row.scene_id, row.instance_id) for row in instances}
     if gone:
-        raise InputError("--batch", batch.batch_id, f"{len(gone)} of its objects are not in the lake any more", "create a new batch")
+        raise InputError(
+            "--batch",
+            batch.batch_id,
+            f"{len(gone)} of its objects {noun(len(gone), 'is', 'are')} not in the lake any more",
+            "create a new batch",
+        )
     candidates = _rows(reader, Candidate, scenes)
     named = {row.asset_id for row in candidates if (row.scene_id, row.instance_id) in keys and row.asset_id is not None}
     assets: list[Asset] = reader.rows_by_key(Asset, named)

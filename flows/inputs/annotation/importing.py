@@ -18,6 +18,7 @@ from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.selection import Selection
+from schemas.wording import counted, noun
 from tasks.annotation import AnnotationBatch, BatchActs, ReviewBatch, check_reviews, read_batch, read_reviews
 from tasks.annotation.batch import read_answers
 from tasks.annotation.cvat import read_cvat
@@ -329,7 +330,7 @@ def _review_row(
         raise InputError(file, f"{where}.reviewer", f"{own[0]} is an annotator of the batch", "let somebody else review it")
     share, passed = demands(state.batch)[2], row.sampled - row.wrong
     if row.verdict == "accepted" and not passes(passed, row.sampled, share):
-        problem = f"{passed} of {row.sampled} sampled answers pass, and more than {share:.0%} must"
+        problem = f"{passed} of {counted(row.sampled, 'sampled answer')} {noun(passed, 'passes', 'pass')}, and more than {share:.0%} must"
         raise InputError(file, f"{where}.verdict", problem, "return the batch, with the verdict 'returned'")
     if state.round > 1 and row.reviewed_at < max(answer.answered_at for answer in answers.values()):
         problem = "is before the last of the answers was given"

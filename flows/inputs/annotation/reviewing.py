@@ -12,6 +12,7 @@ from flows.inputs.annotation.acts import changing, known_state, now, rows_of, st
 from flows.run.configuration import Configuration, configure
 from schemas.annotation import Annotation, AnswerVerdict, Assignment, QualityReview, SampledAnswer, Submission
 from schemas.errors import InputError
+from schemas.wording import counted, noun
 from tasks.annotation import BatchActs
 from tasks.annotation.quality import drawn, in_words, pass_interval
 from tasks.annotation.revisions import latest
@@ -44,7 +45,10 @@ def submit(lake: Lake, batch_id: str, by: str, partial: bool = False, configurat
             raise InputError(batch_id, "annotations", "the batch has no answers", "import them first")
         if missing and not partial:
             scene, instance, annotator = missing[0]
-            problem = f"{len(missing)} of {len(asked)} assigned answers are missing, {annotator}'s for {scene} {instance} first"
+            problem = (
+                f"{len(missing)} of {counted(len(asked), 'assigned answer')} "
+                f"{noun(len(missing), 'is', 'are')} missing, {annotator}'s for {scene} {instance} first"
+            )
             raise InputError(batch_id, "annotations", problem, "hand in what there is with --partial")
         moment = now()
         rows = tuple(
@@ -150,7 +154,11 @@ def conclude(lake: Lake, batch_id: str, configuration: Configuration | None = No
         left = len(state.sample) - len(state.verdicts)
         state.after("judge")  # a batch that was made elsewhere may be accepted from other states too, by a review of its own
         if left or not state.sample:
-            problem = f"{left} of {len(state.sample)} sampled answers are not judged yet" if state.sample else "no sample was drawn"
+            problem = (
+                f"{left} of {counted(len(state.sample), 'sampled answer')} {noun(left, 'is', 'are')} not judged yet"
+                if state.sample
+                else "no sample was drawn"
+            )
             raise InputError(batch_id, "verdicts", problem, "judge all of them first")
         sampled, answers = len(state.sample), len(state.handed_in)
         low, high = pass_interval(state.passed, sampled, answers)

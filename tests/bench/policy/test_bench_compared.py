@@ -136,7 +136,7 @@ def report(**changed: Any) -> dict[str, Any]:
     figures = {
         "comparison_id": "comparison-1", "rooms": {"generated": 24, "replicas": 23, "house": 1}, "seeds": 3,
         "episodes": {"generated": 2400, "replicas": 2300, "house": 100},
-        "rows": [row], "tests": [test], "notes": ["house: 1 scenes to test in, not 2"], "failed": [],
+        "rows": [row], "tests": [test], "notes": ["house: 1 scene to test in, not 2"], "failed": [],
     }  # fmt: skip
     return {**figures, "goals": [], **changed}
 
@@ -149,7 +149,7 @@ def test_the_table_says_what_came_out() -> None:
     text = page.getvalue()
     for words in ("32.0 (27.0-38.0)", "30.0-35.0", "33.7", "0.46", "31.6", "26.9", "-5.2", "0.0123", "n/a",
                   "23 with 2,300 episodes of replicas", "within 0.2 m",
-                  "house: 1 scenes to test in", "failed: replicas/scene0003_00: capture: is empty"):  # fmt: skip
+                  "house: 1 scene to test in", "failed: replicas/scene0003_00: capture: is empty"):  # fmt: skip
         assert words in text
 
 

@@ -99,6 +99,7 @@ def odd_lake(tmp_path: Path) -> str:
     [
         ("status", "--all"),
         ("status", "--all", "--json"),
+        ("scenes", "--json"),
         ("sql", "SELECT error, degradations FROM stage_runs"),
         ("sql", f"SELECT '{RED}' AS \"{RED}\""),
         ("sql", f"SELECT '{RED}' AS \"{RED}\"", "--json"),

@@ -71,7 +71,7 @@ def test_rooms_of_one_name_are_on_one_side(room: str) -> None:
 def test_rooms_that_are_learned_from_are_left_out_of_the_test_whatever_dataset_they_are_in(lake: Lake) -> None:
     whole = planned(lake, ["alpha", "beta", "alpha+beta"], ["gamma"])
     assert set(whole.episodes) == {"gamma/one", "gamma/two"}, "gamma/leak is room_a, which alpha has too"
-    assert whole.notes[0] == "gamma: 1 of 3 scenes are left out, their rooms are learned from"
+    assert whole.notes[0] == "gamma: 1 of 3 scenes is left out, their rooms are learned from"
     assert "gamma: 2 scenes to test in, not 10" in whole.notes
     assert [(each.trained_on, each.seed) for each in whole.trainings] == [
         (label, seed) for label in ("alpha", "beta", "alpha+beta") for seed in (0, 1, 2)

@@ -97,7 +97,7 @@ def test_alignments_of_scan2cad_are_a_batch_of_others(lake: Lake, tmp_path: Path
     words = ["annotate", "import", str(file), "--format", "scan2cad", "--batch", "s2c", "--lake", lake.address]
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 0, done.output
-    assert "batch s2c: 1 answers of 1 annotators on 1 scenes imported (1 new)" in done.output
+    assert "batch s2c: 1 answer of 1 annotator on 1 scene imported (1 new)" in done.output
     assert "left out [0].aligned_models[1]: box/no such: no candidate of demo/room_a 0001 is that model" in done.stderr
     (row,) = lake.snapshot().rows(Annotation)
     assert (row.instance_id, row.annotator, row.tool) == ("0001", "scan2cad", "Scan2CAD")

@@ -186,7 +186,7 @@ def test_the_command_imports_exports_and_names_what_it_leaves_out(lake: Lake, fo
     words = ["annotate", "import", str(saved(tmp_path / "e.json", export)), "--format", "label-studio", "--lake", lake.address]
     done = CliRunner().invoke(cli, [*words, "--annotator", "7=ada"])
     assert done.exit_code == 0, done.output
-    assert "batch b1: 1 answers of 1 annotators on 1 scenes imported (1 new)" in done.output
+    assert "batch b1: 1 answer of 1 annotator on 1 scene imported (1 new)" in done.output
     assert f"note: left out [{position}].annotations[0]: was skipped" in done.stderr
     assert "result[2]: of the control 'mood" in done.stderr
     assert "\x1b" not in done.stderr

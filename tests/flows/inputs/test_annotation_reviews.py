@@ -221,8 +221,8 @@ def test_the_last_review_says_whether_a_batch_counts(tmp_path: Path) -> None:
 
 
 REFUSED: list[tuple[dict[str, Any], str, str]] = [
-    (review(verdict="accepted", sampled=1, wrong=1), "verdict", "0 of 1 sampled answers pass, and more than 98% must"),
-    (review(verdict="accepted", sampled=2, wrong=1), "verdict", "1 of 2 sampled answers pass, and more than 98% must"),
+    (review(verdict="accepted", sampled=1, wrong=1), "verdict", "0 of 1 sampled answer pass, and more than 98% must"),
+    (review(verdict="accepted", sampled=2, wrong=1), "verdict", "1 of 2 sampled answers passes, and more than 98% must"),
     (review(verdict="accepted", wrong=0, reviewer=" ADA"), "reviewer", "ADA is an annotator of the batch"),
     (review(verdict="accepted", wrong=0, reviewer="rita, Bob"), "reviewer", "Bob is an annotator of the batch"),
     (review(review_id="round-1"), "review_id", "round-1 is what reviews made here are called"),

@@ -412,7 +412,7 @@ def test_the_command_says_what_it_did_and_which_scenes_failed(dataset: Path, tmp
     command = [sys.executable, "-m", "flows.cli", "import", "habitat", str(dataset), *options]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 1
-    assert done.stdout.strip() == "other: 1 scenes imported (2 objects), 0 unchanged, 1 failed"
+    assert done.stdout.strip() == "other: 1 scene imported (2 objects), 0 unchanged, 1 failed"
     (line,) = done.stderr.strip().splitlines()
     assert "object_instances[0].rotation" in line
     done = subprocess.run([*command, "--json"], capture_output=True, text=True)

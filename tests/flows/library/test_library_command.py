@@ -55,7 +55,7 @@ def test_a_folder_becomes_a_library_and_goes_again(tmp_path: Path, folder: Path)
     said = done.stdout
     assert "broken.glb: refused: content: is not a readable GLB" in done.stderr
     assert "b_chair.glb: the same bytes as a_chair.glb" in said
-    assert said.splitlines()[-1] == "library chairs: 3 models, 1 of them duplicates, 1 files refused"
+    assert said.splitlines()[-1] == "library chairs: 3 models, 1 of them duplicates, 1 file refused"
     assert told("library", "add", folder, "--processes", 1, *at).splitlines()[-1].endswith("unchanged")
     assert "unchanged, nothing to do" in told("library", "add", folder, "--dry-run", *at)
     listed = told("library", "list", "--lake", lake).splitlines()

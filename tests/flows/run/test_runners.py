@@ -174,7 +174,7 @@ def test_a_run_stops_politely_before_the_disk_is_full_and_goes_on_later(served: 
     small = run(served, scans, tmp_path / "small", "--quota", 1e-4, "--workers", 1)
     assert small.returncode == 1
     assert "--quota is 0.1 MB" in small.stderr
-    assert "1 scenes were not begun" in small.stderr
+    assert "1 scene was not begun" in small.stderr
     assert len({scene for scene, _ in Lake.open(tmp_path / "small").history()}) == 1, "the first filled it"
     over = run(served, scans, target, "--quota", 1e-6)
     assert over.returncode == 1
@@ -209,7 +209,7 @@ def test_a_flow_waits_for_a_store_that_is_away(home: dict[str, str], tmp_path: P
         store.make_bucket("bucket")
         out, _ = process.communicate(timeout=400)
         assert process.returncode == 0
-        assert "Completed 1 scenes done" in out
+        assert "Completed 1 scene done" in out
         assert any("/tables/placements/" in name for name in store.objects("bucket/lake"))
 
 
@@ -228,7 +228,7 @@ def test_a_server_that_is_gone_at_the_end_takes_nothing_from_the_run(home: dict[
         server.kill()
         out, err = process.communicate(timeout=400)
     assert process.returncode == 0, err
-    assert out.startswith("1 scenes done"), err
+    assert out.startswith("1 scene done"), err
     assert "does not know how the run ended" in err
     assert "Traceback" not in err
     assert len(Lake.open(tmp_path / "lake").history()) == 7

@@ -69,7 +69,7 @@ def test_a_real_annotation_without_a_mesh_becomes_usd(command: Callable[..., str
     scan.mkdir()
     shutil.copy(annotation, scan / annotation.name)
     made = command("run", "--scans", scan, "--lake", lake, "--workers", 1, "--set", 'exports.formats=["usd"]')
-    assert "1 scenes done" in made
+    assert "1 scene done" in made
 
     def ask(query: str) -> list[Any]:
         return [tuple(row.values()) for row in json.loads(command("sql", "--lake", lake, query, "--json"))]

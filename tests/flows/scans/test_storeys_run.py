@@ -46,7 +46,7 @@ def test_a_house_of_two_storeys_becomes_two_scenes_with_their_floors_at_zero(hom
     words = shlex.split(line.partition(": metascenes ")[2].removesuffix(" makes a scan of each"))
     done = metascenes(home, *words[:-1], tmp_path / "storeys")  # the very command, into a folder of the test
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "1 scans divided, 0 unchanged, 0 of one storey, 0 failed"
+    assert done.stdout.splitlines()[-1] == "1 scan divided, 0 unchanged, 0 of one storey, 0 failed"
     made = run(home, tmp_path / "storeys", tmp_path / "lake", "--set", 'exports.formats=["usd"]', "--workers", 1)
     assert made.returncode == 0, made.stderr
     connection = Lake.open(tmp_path / "lake").snapshot().connect()

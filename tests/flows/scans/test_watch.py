@@ -663,7 +663,7 @@ def test_a_deployment_is_asked_once_for_what_was_found(prefect: PrefectServer, t
     assert tables[-1][0]["scan"] == "scannet/scene0002_00", "what somebody is to be told comes first"
     assert back["report"]["run"] not in cancelled["runs"], "the run that the request once gave has ended"
     assert [kind for kind, _ in ends] == ["FAILED", "COMPLETED"], "once a day"
-    assert ends[0][1].startswith("1 scans incomplete for more than a day: scannet/scene0002_00: ")
+    assert ends[0][1].startswith("1 scan incomplete for more than a day: scannet/scene0002_00: ")
     assert (
         refused == "--deployment: replicate/nothing: the Prefect server does not know it; metascenes deploy sets up replicate/backfill-lake"
     )

@@ -114,7 +114,7 @@ def test_names_in_any_script_go_through_everything(home: dict[str, str], tmp_pat
     assert [row["scene_id"] for row in rows] == ids
     assert sorted(Path(row["scan_path"]).name for row in rows) == sorted(NAMES)
     again = run(home, scans, lake, "--dataset", "Büro", "--scene", "会议室")
-    assert (again.returncode, again.stdout) == (0, "nothing to do: 1 scenes are up to date\n"), again.stderr
+    assert (again.returncode, again.stdout) == (0, "nothing to do: 1 scene is up to date\n"), again.stderr
     exported = metascenes(home, "export", "--lake", lake, "--out", out)
     assert exported.returncode == 0, exported.stdout + exported.stderr
     for scene in ids:

@@ -44,8 +44,9 @@ def test_every_variable_of_the_file_is_one_that_the_command_sets_and_every_flow_
         (["--pool", ""], "--pool"),
     ],
 )
-def test_what_cannot_be_scheduled_is_one_line_and_exit_code_2(arguments: list[str], named: str) -> None:
-    command = [sys.executable, "-m", "flows.cli", "deploy", "--scans", "s", "--lake", "l", "--dry-run", *arguments]
+@pytest.mark.parametrize("how", ["--dry-run", "--local"])
+def test_what_cannot_be_scheduled_is_one_line_and_exit_code_2_before_a_server_starts(arguments: list[str], named: str, how: str) -> None:
+    command = [sys.executable, "-m", "flows.cli", "deploy", "--scans", "s", "--lake", "l", how, *arguments]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done.stderr
     assert named in done.stderr

@@ -327,13 +327,13 @@ def test_every_command_of_the_page_works(tmp_path: Path) -> None:
             assert "nightly" in page.run("metascenes deploy")
             pool = "SELECT count(*) FROM worker w JOIN work_pool p ON p.id = w.work_pool_id WHERE p.name = 'metascenes'"
             with page.serving("# worker", lambda: postgres.query(pool) == [["1"]]):
-                assert "1 scenes done" in page.run('metascenes run --scans "$METASCENES_SCANS" --workers')
+                assert "1 scene done" in page.run('metascenes run --scans "$METASCENES_SCANS" --workers')
             scan(tmp_path / "scans", 1)
             with (
                 page.serving("# scheduler", lambda: serves(scheduler)),
                 page.serving("# dask worker", lambda: "Registered to" in (page.folder / "dask worker.log").read_text()),
             ):
-                assert "1 scenes done" in page.run("# dask run")
+                assert "1 scene done" in page.run("# dask run")
             (page.folder / "backups").mkdir()
             page.run("# backup")
         assert digests(Lake.open(page.folder / "backups" / "lake").snapshot()) == digests(Lake.open("s3://lakes/metascenes").snapshot())

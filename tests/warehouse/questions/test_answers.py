@@ -182,6 +182,18 @@ def test_a_table_says_what_it_leaves_out() -> None:
     assert str(format_table(data, "table", 2500)).splitlines()[-1] == "(2500 rows)"
 
 
+def test_an_expanded_table_has_every_value_of_every_row_in_full() -> None:
+    rows = [{"name": f"{i}" * 99, "n": i, "none": None, "list": [i, i + 1]} for i in range(5)]
+    data = pa.Table.from_pylist(rows)
+    lines = str(format_table(data, "expanded")).splitlines()
+    for i, row in enumerate(rows):
+        head, *told = lines[5 * i : 5 * i + 5]
+        assert head == f"[row {i + 1}]"
+        assert told == [f"name  {row['name']}", f"n     {i}", "none", f"list  [{i}, {i + 1}]"]
+    assert lines[-1] == "(5 rows)"
+    assert str(format_table(data, "expanded", 2)).splitlines() == [*lines[:10], "(the first 2 of 5 rows)"]
+
+
 @pytest.fixture(scope="module")
 def lake(tmp_path_factory: pytest.TempPathFactory) -> Lake:
     lake = Lake.open(tmp_path_factory.mktemp("answers") / "lake")
@@ -202,7 +214,7 @@ def test_a_statement_comes_from_anywhere(lake: Lake, tmp_path: Path) -> None:
     for source in (["-"], ["--file", "-"]):
         assert ask(lake, *source, "--output", "csv", typed="SELECT count(*) AS n, 'ü' AS u FROM captions").stdout == said
     for words, message in (
-        (["SELECT 1", "--file", "x"], "give a statement, --file or --list"),
+        (["SELECT 1", "--file", "x"], "give a statement or --file, not both"),
         (["--file", tmp_path / "none.sql"], "cannot be read"),
     ):
         done = ask(lake, *words)

@@ -16,6 +16,7 @@ from schemas.errors import InputError
 from schemas.record import BLOB_PATTERN
 from schemas.runs import Release, Snapshot
 from schemas.tables import TABLES
+from schemas.wording import noun
 from warehouse.lake import DRAFT_FOLDER, MARKER, Lake
 from warehouse.sharing.claims import FOLDER as CLAIM_FOLDER
 from warehouse.sharing.claims import claims_of, dead_claims, path_of
@@ -93,9 +94,12 @@ def blob_findings(
                     yield Fault("content", path, "", "the content differs from the name", _RESTORE)
             advance("blobs")
     if lost > _MOST_NAMED:
-        yield Fault("blob", BLOB_FOLDER, "", f"{lost - _MOST_NAMED} more blobs are missing, which rows name", _RESTORE)
+        more = lost - _MOST_NAMED
+        yield Fault("blob", BLOB_FOLDER, "", f"{more} {noun(more, 'more blob is', 'more blobs are')} missing, which rows name", _RESTORE)
     if orphans:
-        yield Fault("unnamed blob", orphans[0], "", f"nobody names it, nor {len(orphans) - 1} more blobs ({size} B)", _VACUUM, False)
+        more = len(orphans) - 1
+        problem = f"nobody names it, nor {more} {noun(more, 'more blob')} ({size} B)"
+        yield Fault("unnamed blob", orphans[0], "", problem, _VACUUM, False)
 
 
 def release_findings(lake: Lake, snapshots: Sequence[Snapshot], only: str | None, quick: bool) -> Iterator[Fault]:

@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from schemas.record import Column, Table
 from schemas.tables import TABLES
+from schemas.wording import counted, noun
 from warehouse.questions.documentation import sql_type
 from warehouse.questions.quoting import listed, literal, quoted
 from warehouse.questions.renames import former_columns
@@ -57,10 +58,10 @@ class RowChecks:
         counts += [f"count({quoted(column)})" for column in known] if thorough else []
         if not counts:
             return
-        counted = self._connection.execute(f"SELECT {', '.join(counts)} FROM {self._relations[name]}").fetchall()[0]
-        for (column, rule, sql), count in zip(rules, counted, strict=False):
+        broken_rows = self._connection.execute(f"SELECT {', '.join(counts)} FROM {self._relations[name]}").fetchall()[0]
+        for (column, rule, sql), count in zip(rules, broken_rows, strict=False):
             if count:
-                problem = f"{count} rows: {rule}, {self._first(table, sql)} first"
+                problem = f"{counted(count, 'row')}: {rule}, {self._first(table, sql)} first"
                 yield Fault("rule", f"tables/{name}", column.name, problem, _RERUN)
 
     def keys(self, name: str) -> Iterator[Fault]:
@@ -72,7 +73,13 @@ class RowChecks:
         groups = f"SELECT {key}, count(*) AS n FROM {self._relations[name]} GROUP BY {key} HAVING count(*) > 1"
         doubled = self._connection.execute(f"SELECT count(*), any_value(concat_ws(' ', {key})) FROM ({groups})").fetchall()[0]
         if doubled[0]:
-            yield Fault("key", f"tables/{name}", ", ".join(table.key), f"{doubled[0]} keys have several rows, {doubled[1]} first", _RERUN)
+            yield Fault(
+                "key",
+                f"tables/{name}",
+                ", ".join(table.key),
+                f"{counted(doubled[0], 'key has', 'keys have')} several rows, {doubled[1]} first",
+                _RERUN,
+            )
 
     def references(self, name: str) -> Iterator[Fault]:
         """Rows that name a row of another table that is not there. History (annotations, trajectories) may name what is gone."""
@@ -89,7 +96,7 @@ class RowChecks:
             query = f"SELECT count(*), any_value(concat_ws(' ', {shown})) FROM {self._relations[name]} r WHERE {sql}"
             count, first = self._connection.execute(query).fetchall()[0]
             if count:
-                problem = f"{count} rows name what is not in {other}, {first} first"
+                problem = f"{counted(count, 'row names', 'rows name')} what is not in {other}, {first} first"
                 yield Fault("reference", f"tables/{name}", ", ".join(columns), problem, _RERUN)
 
     def shared(self, name: str) -> Iterator[Fault]:
@@ -103,7 +110,7 @@ class RowChecks:
         query = f"SELECT count(*), any_value({key}) FROM {self._relations[name]} r WHERE {unnamed}"
         count, first = self._connection.execute(query).fetchall()[0]
         if count:
-            problem = f"{count} rows that no row of {table.shared_by} names, {first} first"
+            problem = f"{counted(count, 'row')} that no row of {table.shared_by} names, {first} first"
             yield Fault("unnamed row", f"tables/{name}", table.key[0], problem, _RERUN)
 
     def accounts(self) -> Iterator[Fault]:
@@ -129,7 +136,8 @@ class RowChecks:
                 FROM ({there}) a FULL JOIN (SELECT scene_id, n FROM said WHERE name = ?) b USING (scene_id)) WHERE n <> m"""
             count, scene, actual, expected = self._connection.execute(differing, [name]).fetchall()[0]
             if count:
-                problem = f"{count} scenes have other rows than their runs say, {scene} first: {actual} instead of {expected}"
+                whose = noun(count, "scene has other rows than its runs say", "scenes have other rows than their runs say")
+                problem = f"{count} {whose}, {scene} first: {actual} instead of {expected}"
                 yield Fault("row count", f"tables/{name}", "scene_id", problem, _RERUN)
 
     def _known(self, name: str) -> dict[str, str]:
