@@ -262,7 +262,9 @@ def _megabytes(size: int) -> str:
 
 def _in_words(size: int) -> str:
     """A size in the unit that fits."""
-    return f"{size} B" if size < 1000 else f"{size / 1e3:.1f} kB" if size < 1e6 else _megabytes(size) if size < 1e9 else f"{size / 1e9:.1f} GB"
+    if size < 1e6:
+        return f"{size} B" if size < 1000 else f"{size / 1e3:.1f} kB"
+    return _megabytes(size) if size < 1e9 else f"{size / 1e9:.1f} GB"
 
 
 def _numbers(numbers: tuple[int, ...]) -> str:

@@ -1,9 +1,10 @@
 -- How often does a library have an asset for objects of each category, and how often does that win over what was made instead?
 -- Version 1.
--- By slot, of those in which any candidate of the lake is a library's. retrieved: objects for which it is one; fallbacks: for which something
--- was made instead, since the library had none. wins, fallback_wins: of either, those that selection ranks first of all that the object has.
--- above: retrieved ones that it ranks before every fallback of their object, in any of these slots, out of those that have one (compared).
--- placed: retrieved ones that stand for the object in the end. The view library_usage has libraries, candidate_wins all providers.
+-- By slot, of those in which any candidate of the lake is a library's. retrieved: objects for which it is one; fallbacks: for which
+-- something was made instead, since the library had none. wins, fallback_wins: of either, those that selection ranks first of all that the
+-- object has. above: retrieved ones that it ranks before every fallback of their object, in any of these slots, out of those that have one
+-- (compared). placed: retrieved ones that stand for the object in the end. The view library_usage has libraries, candidate_wins all
+-- providers.
 WITH library_slots AS (
     SELECT DISTINCT slot
     FROM candidates
