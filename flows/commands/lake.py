@@ -97,8 +97,8 @@ def size(address: str, as_json: bool) -> None:
 
     measured = measure(existing_lake(address))
     if as_json:
-        parts = {"tables": measured.tables, "blobs": measured.blobs, "folders": measured.folders}
-        sizes = {name: [_flat(part) for part in of_kind] for name, of_kind in parts.items()}
+        kinds = {"tables": measured.tables, "blobs": measured.blobs, "folders": measured.folders}
+        sizes = {name: [_flat(part) for part in parts] for name, parts in kinds.items()}
         print(json.dumps({"snapshot_id": measured.snapshot_id, "total": _flat(measured.total()), **sizes}))
         return
     groups = (("table", measured.tables), ("blobs named by", measured.blobs), ("beside them", measured.folders))

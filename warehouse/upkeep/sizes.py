@@ -100,8 +100,8 @@ def measure(lake: Lake) -> LakeSize:
         listed = [*(name for name in TABLES if name in there or rows[name]), *(name for name in there if name not in TABLES)]
         tables = tuple(_table(lake, reader, name, rows.get(name), connection, columns) for name in listed)
         blobs = _blobs(lake, connection, [f"{table.name}.{column}" for table, column in columns])
-    others = [name for name in lake.storage.folders("") if name not in (TABLE_FOLDER, BLOB_FOLDER)]
-    folders = [Size(f"{name}/", None, live=_held(lake.storage.walk(name))) for name in others]
+    beside = [name for name in lake.storage.folders("") if name not in (TABLE_FOLDER, BLOB_FOLDER)]
+    folders = [Size(f"{name}/", None, live=_held(lake.storage.walk(name))) for name in beside]
     folders.append(Size("files beside them", None, live=_held(lake.storage.entries(""))))
     return LakeSize(reader.snapshot_id, tables, blobs, tuple(size for size in folders if size.all.files))
 
@@ -155,10 +155,10 @@ def _blobs(lake: Lake, connection: duckdb.DuckDBPyConnection, names: Sequence[st
     connection.execute(f"CREATE TABLE owned AS SELECT name, {first} FROM naming GROUP BY name")
     connection.execute("CREATE TABLE there (name VARCHAR, bytes BIGINT, is_waiting BOOLEAN)")
     for folder in lake.storage.folders(BLOB_FOLDER):  # in parts: a large lake has tens of millions
-        connection.register("found", _found(lake.storage.walk(f"{BLOB_FOLDER}/{folder}"), waiting))
-        connection.execute("INSERT INTO there FROM found")
-    connection.register("found", _found(lake.storage.entries(BLOB_FOLDER), waiting))
-    connection.execute("INSERT INTO there FROM found")
+        connection.register("listed", _listing(lake.storage.walk(f"{BLOB_FOLDER}/{folder}"), waiting))
+        connection.execute("INSERT INTO there FROM listed")
+    connection.register("listed", _listing(lake.storage.entries(BLOB_FOLDER), waiting))
+    connection.execute("INSERT INTO there FROM listed")
     counted = "count(*), CAST(coalesce(sum(bytes), 0) AS BIGINT)"
     answer = connection.execute(
         f"SELECT place, coalesce(is_live, is_waiting), {counted} FROM there LEFT JOIN owned USING (name) GROUP BY ALL"
@@ -171,11 +171,11 @@ def _blobs(lake: Lake, connection: duckdb.DuckDBPyConnection, names: Sequence[st
     return tuple(size for size in (*sizes, unnamed) if size.all.files)
 
 
-def _found(entries: Iterator[Entry] | Sequence[Entry], waiting: Collection[str]) -> pa.Table:
+def _listing(entries: Iterator[Entry] | Sequence[Entry], waiting: Collection[str]) -> pa.Table:
     """Blobs that are there, with their sizes, and whether something that is not committed names them."""
-    found = list(entries)
-    names = [entry.path.rpartition("/")[2] for entry in found]
-    columns = (pa.array(names, pa.string()), pa.array([entry.size for entry in found], pa.int64()))
+    files = list(entries)
+    names = [entry.path.rpartition("/")[2] for entry in files]
+    columns = (pa.array(names, pa.string()), pa.array([entry.size for entry in files], pa.int64()))
     return pa.table([*columns, pa.array([name in waiting for name in names], pa.bool_())], ["name", "bytes", "is_waiting"])
 
 
