@@ -161,7 +161,7 @@ def _blobs(lake: Lake, connection: duckdb.DuckDBPyConnection, names: Sequence[st
     connection.execute("INSERT INTO there FROM listed")
     counted = "count(*), CAST(coalesce(sum(bytes), 0) AS BIGINT)"
     answer = connection.execute(
-        f"SELECT place, coalesce(is_live, is_waiting), {counted} FROM there LEFT JOIN owned USING (name) GROUP BY ALL"
+        f"SELECT place, is_waiting OR coalesce(is_live, false), {counted} FROM there LEFT JOIN owned USING (name) GROUP BY ALL"
     ).fetchall()
     held = {(place, is_live): Held(files, size) for place, is_live, files, size in answer}
     sizes = [

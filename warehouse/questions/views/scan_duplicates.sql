@@ -1,8 +1,9 @@
 -- Which scenes were made of the same scan, under several names?
 -- Version 1.
--- Scenes whose captures that count (view current_runs) read the same files, or the same but for the scan's own name in theirs; each with
--- the first of them by name and how many they are. rooms: names of rooms that these have, without the dataset, as splits go by them: with
--- more than one, train and test may share a scan. Runs take a copy for the scene that is there, but when it had another content before.
+-- Scenes whose captures that count (view current_runs) read the same files, or the same but for the scan's own name in their paths; each
+-- with the first of them by name and how many they are. rooms: names of rooms that these have, without the dataset, as splits go by them:
+-- with more than one, train and test may share a scan. Runs take a copy for the scene that is there, but when it had another content
+-- before.
 WITH RECURSIVE captured AS (
     SELECT
         scene_id,
