@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import math
 import os
 import shutil
 import signal
@@ -115,6 +116,10 @@ def test_the_view_is_arithmetic_over_the_rows(driven_lake: Lake) -> None:
     assert row["n"] == len(rows)
     assert row["error_m"] == pytest.approx(sum(run.error_m for run in rows) / len(rows))
     assert row["wheels_error_m"] == pytest.approx((sum(run.wheels_error_m**2 for run in rows) / len(rows)) ** 0.5)
+    turned = sum(math.degrees(run.heading_error_radians) for run in rows) / len(rows)
+    assert row["heading_error_degrees"] == pytest.approx(turned)
+    assert row["mean_recoveries"] == pytest.approx(sum(run.recoveries for run in rows) / len(rows))
+    assert row["scans_used_share"] == pytest.approx(sum(run.scans_used for run in rows) / sum(run.scans for run in rows))
     assert row["least_clearance_m"] == min(run.least_clearance_m for run in rows)
     assert row["arrived_share_low"] < row["arrived_share"] <= row["arrived_share_high"] == 1.0
 
