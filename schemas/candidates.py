@@ -77,7 +77,7 @@ class TextureCharts:
     stretch_linf: float = column("Largest stretch of a triangle, on the same scale", minimum=0)
     angle_distortion_radians: float = column("Mean difference of angles on the surface and in the texture, by area", unit="rad", minimum=0)
     coverage: float = column("Share of the unit square that triangles cover", minimum=0, maximum=1)
-    overlap: float = column("Share of what is covered that more than one triangle covers", minimum=0, maximum=1)
+    overlap_share: float = column("Share of what is covered that more than one triangle covers", minimum=0, maximum=1)
     flipped: int = column("Triangles that lie mirrored against most of their chart", minimum=0)
     outside: int = column("Triangles with a corner outside of the unit square", minimum=0)
     collapsed: int = column("Triangles with an area on the surface and none in the texture", minimum=0)

@@ -220,7 +220,7 @@ class Mask:
     )
     pixel_box: tuple[int, ...] = column("x0, y0, x1, y1 in the color image, x1 and y1 exclusive", unit="px", length=4, minimum=0)
     pixel_count: int = column("Pixels of the mask in the color image", unit="px", minimum=1)
-    visible_fraction: float = column("Share of the instance's points inside the image that the depth test sees", minimum=0, maximum=1)
+    visible_share: float = column("Share of the instance's points inside the image that the depth test sees", minimum=0, maximum=1)
     score: float = column("View quality: visible fraction x square root of mask area x (1 - border contact)", minimum=0)
     run_lengths: tuple[int, ...] = column(
         "Mask inside pixel_box, row by row: lengths of alternating runs, the first outside the mask", unit="px", minimum=0

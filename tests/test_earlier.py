@@ -106,6 +106,19 @@ def test_it_opens_and_every_view_answers_as_it_did(lake: Lake) -> None:
     assert query(reader, "SELECT sum(wrong) AS n FROM quality_reviews").to_pylist() == [{"n": 0}]
 
 
+def test_columns_that_were_renamed_since_are_read_and_known_by_both_names(lake: Lake) -> None:
+    reader = lake.snapshot()
+    renamed = [one for one in RENAMES if one.of in CATALOG]
+    assert {"masks", "scene_objects", "unstable_objects", "navigation_metrics"} <= {one.of for one in renamed}
+    for one in renamed:
+        asked = f'SELECT count(*) AS differ FROM "{one.of}" WHERE "{one.before}" IS DISTINCT FROM ({one.value or one.after})'
+        assert query(reader, asked).to_pylist() == [{"differ": 0}], one
+    named = query(reader, "SELECT visible_share FROM masks").to_pylist()
+    assert named
+    assert all(0 < row["visible_share"] <= 1 for row in named)
+    assert [row.visible_share for row in reader.rows(Mask)] == [row["visible_share"] for row in named]
+
+
 def test_it_is_sound(lake: Lake) -> None:
     found = inspect(lake)
     assert [str(one) for one in found.errors] == []

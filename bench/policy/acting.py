@@ -64,7 +64,7 @@ SELECT
     avg(sel) AS sel,
     avg(episode_length) AS el,
     avg(episode_length) FILTER (success) AS el_success,
-    avg(curvature_finite_differences) AS curvature,
+    avg(curvature_finite_differences_per_m) AS curvature,
     avg(collisions) AS collisions
 FROM chosen
 """

@@ -98,8 +98,8 @@ def _print_compared(compared: Mapping[str, Any], console: Console) -> None:
         add_row(
             table, row["trained_on"], str(row["seeds"]), f"{row['n']:,}",
             f"{_percent(row['sr'])} ({_percent(row['sr_low'])}-{_percent(row['sr_high'])})",
-            f"{_percent(row['least_sr'])}-{_percent(row['greatest_sr'])}", _percent(row["found"]), f"{row['el']:.1f}",
-            _number(row["curvature_turning_angle"], 2), _percent(row["sel"]), _percent(row["spl"]),
+            f"{_percent(row['least_sr'])}-{_percent(row['greatest_sr'])}", _percent(row["found_share"]), f"{row['el']:.1f}",
+            _number(row["curvature_turning_angle_per_m"], 2), _percent(row["sel"]), _percent(row["spl"]),
         )  # fmt: skip
     console.print(table)
     table = table_of(

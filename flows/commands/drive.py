@@ -163,8 +163,9 @@ def _tell(done: Driven, metrics: Sequence[dict[str, Any]], dry_run: bool) -> Non
     print(f"\n{'ways of':<{width}}      n  arrived     95 % interval  collisions  error, cm  wheels, cm   NEES")
     for name, row in zip(names, metrics, strict=True):
         errors = _figure(row["error_m"], 100, 2), _figure(row["wheels_error_m"], 100, 1), _figure(row["nees"], 1, 2)
+        low, high = row["arrived_share_low"], row["arrived_share_high"]
         print(
-            f"{name:<{width}} {row['n']:>6}  {row['arrived']:>7.3f}  {row['arrived_low']:>6.3f} to {row['arrived_high']:.3f} "
+            f"{name:<{width}} {row['n']:>6}  {row['arrived_share']:>7.3f}  {low:>6.3f} to {high:.3f} "
             f"{row['collisions']:>11} {errors[0]:>10} {errors[1]:>11} {errors[2]:>6}"
         )
 

@@ -154,7 +154,7 @@ def _tell(evaluated: list[Evaluated], metrics: list[dict[str, Any]], dry_run: bo
             f"{row['policy']:<{long}}  {row['run_name']:<{width}}  {row['split']:<5} {row['n']:>6}  {row['sr']:.3f}  "
             f"{row['sr_low']:.3f} to {row['sr_high']:.3f}  {row['spl']:.3f}  {row['sel']:.3f}  {row['el']:>6.1f}"
         )
-    _tell_found([row for row in metrics if row["found"] is not None])
+    _tell_found([row for row in metrics if row["found_share"] is not None])
 
 
 def _tell_found(metrics: list[dict[str, Any]]) -> None:
@@ -164,8 +164,8 @@ def _tell_found(metrics: list[dict[str, Any]]) -> None:
     width, long = (max(len(head), *(len(row[name]) for row in metrics)) for head, name in (("run", "run_name"), ("policy", "policy")))
     print(f"\n{'policy':<{long}}  {'run':<{width}}  split  stopped at 0.1 m  at 1 m in view  95 % interval    SPL")
     for row in metrics:
-        interval = f"{row['found_low']:.3f} to {row['found_high']:.3f}"
+        interval = f"{row['found_share_low']:.3f} to {row['found_share_high']:.3f}"
         print(
-            f"{row['policy']:<{long}}  {row['run_name']:<{width}}  {row['split']:<5} {row['arrived']:>17.3f} {row['found']:>15.3f}  "
-            f"{interval}  {row['found_spl']:.3f}"
+            f"{row['policy']:<{long}}  {row['run_name']:<{width}}  {row['split']:<5} {row['arrived_share']:>17.3f} "
+            f"{row['found_share']:>15.3f}  {interval}  {row['found_spl']:.3f}"
         )

@@ -1,4 +1,4 @@
-"""`metascenes lake`: keep the lake small and whole, copy it, and make it forget."""
+"""`metascenes lake`: keep the lake small and whole, measure it, copy it, and make it forget."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from schemas.wording import counted, meant, noun
 
 if TYPE_CHECKING:
     from warehouse.upkeep.erasure import Erasure, Traces
+    from warehouse.upkeep.sizes import Size
 
 dry_run_option = click.option("--dry-run", is_flag=True, help="Say what would be done; change nothing.")
 
 
-@click.group("lake", short_help="Compact, vacuum, back up, restore the lake, or erase a scene from it.")
+@click.group("lake", short_help="Compact, vacuum, measure, back up, restore the lake, or erase a scene from it.")
 def command() -> None:
-    """Keep the lake small and whole, copy it, and make it forget.
+    """Keep the lake small and whole, measure it, copy it, and make it forget.
 
     Example: metascenes lake vacuum --days 30 --dry-run --lake ./lake
     """
@@ -86,6 +87,46 @@ def vacuum(days: float, dry_run: bool, address: str, as_json: bool) -> None:
     )
     if done.young_blobs:
         print(_young(done.young_blobs))
+
+
+@command.command("size")
+@lake_option
+@json_option
+def size(address: str, as_json: bool) -> None:
+    """Say how large the lake is, by table, by the columns that name its blobs, and by what else lies in it; every file counts once.
+
+    `live` is what the newest snapshot is made of, `older` what only older snapshots name, `unnamed` what no snapshot does: vacuum removes
+    these where they are old enough. With --json: snapshot_id, total, and tables, blobs and folders with name, rows, files and bytes of each
+    kind.
+
+    Example: metascenes lake size --lake ./lake
+    """
+    from warehouse.upkeep.sizes import measure
+
+    measured = measure(existing_lake(address))
+    if as_json:
+        kinds = {"tables": measured.tables, "blobs": measured.blobs, "folders": measured.folders}
+        sizes = {name: [_flat(part) for part in parts] for name, parts in kinds.items()}
+        print(json.dumps({"snapshot_id": measured.snapshot_id, "total": _flat(measured.total()), **sizes}))
+        return
+    groups = (("table", measured.tables), ("blobs named by", measured.blobs), ("beside them", measured.folders))
+    for title, parts in groups:
+        print(f"{title:<32} {'rows':>12} {'files':>9} {'all':>12} {'live':>12} {'older':>12} {'unnamed':>12}")
+        for part in (*parts, dataclasses.replace(measured.total(parts), name="together")):
+            rows = "" if title != "table" or part.rows is None else f"{part.rows}"
+            sizes_of = " ".join(f"{_in_words(held.bytes):>12}" for held in (part.all, part.live, part.older, part.unnamed))
+            print(f"{part.name:<32} {rows:>12} {part.all.files:>9} {sizes_of}")
+        print()
+    whole = measured.total()
+    print(f"{_in_words(whole.all.bytes)} in {counted(whole.all.files, 'file')} at snapshot {measured.snapshot_id}")
+
+
+def _flat(size: Size) -> dict[str, Any]:
+    """A size as one JSON object."""
+    shown: dict[str, Any] = {"name": size.name, "rows": size.rows, "files": size.all.files, "bytes": size.all.bytes}
+    for kind in ("live", "older", "unnamed", "log"):
+        shown |= {f"{kind}_files": getattr(size, kind).files, f"{kind}_bytes": getattr(size, kind).bytes}
+    return shown
 
 
 @command.command("backup")
@@ -242,6 +283,13 @@ def _megabytes(size: int) -> str:
 def _young(blobs: int) -> str:
     younger = noun(blobs, "blob that no row names is younger", "blobs that no row names are younger")
     return f"{blobs} {younger} than a day and {noun(blobs, 'stays', 'stay')}"
+
+
+def _in_words(size: int) -> str:
+    """A size in the unit that fits."""
+    if size < 1e6:
+        return f"{size} B" if size < 1000 else f"{size / 1e3:.1f} kB"
+    return _megabytes(size) if size < 1e9 else f"{size / 1e9:.1f} GB"
 
 
 def _numbers(numbers: tuple[int, ...]) -> str:

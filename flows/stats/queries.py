@@ -179,12 +179,12 @@ def _volumes(view: str, outliers: str, column: str) -> dict[str, str]:
 
 def _drawn_layouts() -> str:
     """Drawn objects of the first scenes on the large object that most scenes were drawn on, where there are two of them."""
-    alike = "model_id, large_category, room_type, large_size_m"
+    alike = "model_id, large_category, room_type, large_box_size"
     return f"""WITH most AS (
     SELECT DISTINCT {alike}, alike_scenes FROM synthesis_layouts WHERE alike_scenes > 1
-    ORDER BY alike_scenes DESC, large_category, room_type, large_size_m, model_id LIMIT 1
+    ORDER BY alike_scenes DESC, large_category, room_type, large_box_size, model_id LIMIT 1
 )
-SELECT large_category, room_type, large_size_m, scene_id, instance_id, category, box_center_m, box_size_m, yaw_degrees
+SELECT large_category, room_type, large_box_size, scene_id, instance_id, category, box_center, box_size, yaw_degrees
 FROM synthesis_layouts JOIN most USING ({alike})
 QUALIFY dense_rank() OVER (ORDER BY scene_id) <= {micro_scenes.LAYOUT_LIMIT} ORDER BY scene_id, instance_id"""
 
@@ -306,7 +306,7 @@ _OF_LISTED: Mapping[str, str] = {
 """What the table of scenes and the cards say of a scene."""
 
 _OF_PICTURED: Mapping[str, str] = {
-    "scene_objects": "scene_id, instance_id, category, box_size_m, mass_kg, material, provider, score, displacement_m, lift_m, support, "
+    "scene_objects": "scene_id, instance_id, category, box_size, mass_kg, material, provider, score, displacement_m, lift_m, support, "
     "settled_displacement_m",
     "optimization_remains": "scene_id, instance_id, category, remains",
     "export_verdicts": "scene_id, format, rules, broken_rules, passed",

@@ -246,7 +246,7 @@ def _with_views(
             found_by=finders[sight.instance].name if sight.instance in finders else "surface",
             pixel_box=sight.pixel_box,
             pixel_count=int(sight.mask.sum()),
-            visible_fraction=sight.visible_fraction,
+            visible_share=sight.visible_share,
             score=sight.score,
             run_lengths=run_lengths(sight.mask),
         )

@@ -257,7 +257,7 @@ def _model_call(key: str, facts: Facts) -> list[str]:
 
 
 def _mask(key: str, facts: Facts) -> list[str]:
-    box, seen = facts["pixel_box"], facts["visible_fraction"]
+    box, seen = facts["pixel_box"], facts["visible_share"]
     return [f"{_plural(facts['pixel_count'], 'pixel')} in {box[0]}..{box[2]} x {box[1]}..{box[3]}, {scaled(seen, 100, 0)} % of it visible"]
 
 

@@ -149,8 +149,8 @@ def _layouts(objects: pa.Table) -> list[Layout]:
     for _, group in itertools.groupby(objects.to_pylist(), lambda row: row["scene_id"]):
         rows = list(group)
         drawn = [row for row in rows if row["instance_id"] is not None]
-        depth, width, height = rows[0]["large_size_m"]
-        centers, sizes = (np.array([row[name] for row in drawn]) for name in ("box_center_m", "box_size_m"))
+        depth, width, height = rows[0]["large_box_size"]
+        centers, sizes = (np.array([row[name] for row in drawn]) for name in ("box_center", "box_size"))
         large = Large(rows[0]["large_category"], (depth, width, height), rows[0]["room_type"])
         made.append(
             Layout(large, tuple(row["category"] for row in drawn), centers, sizes, np.radians([row["yaw_degrees"] for row in drawn]))

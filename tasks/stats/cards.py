@@ -59,7 +59,7 @@ def scene_card(scene_id: str, pictures: ScenePictures | str, answers: Mapping[st
         [
             ("instance_id", "Instance", as_text),
             ("category", "Category", as_text),
-            ("box_size_m", "Size [m]", as_box),
+            ("box_size", "Size [m]", as_box),
             ("mass_kg", "Mass [kg]", as_number),
             ("material", "Material", as_text),
             ("provider", "Provider", as_text),

@@ -78,9 +78,9 @@ _COLUMNS: Mapping[str, tuple[str, Format]] = {
     "wrong": ("Wrong", as_count),
     "setup": ("Setup", as_text),
     "body": ("Body", as_text),
-    "arrived": ("Arrived", as_share),
-    "arrived_low": ("from", as_share),
-    "arrived_high": ("to", as_share),
+    "arrived_share": ("Arrived", as_share),
+    "arrived_share_low": ("from", as_share),
+    "arrived_share_high": ("to", as_share),
     "collisions": ("Collisions", as_count),
     "least_clearance_m": ("Least clearance [m]", as_number),
     "error_m": ("Error [m]", as_number),
@@ -131,7 +131,7 @@ _COLUMNS: Mapping[str, tuple[str, Format]] = {
     "displacement_m": ("Moves [m]", as_number),
     "tilt_degrees": ("Tilts [\u00b0]", as_number),
     "start_penetration_m": ("Starts at depth [m]", as_number),
-    "fails_5cm": ("Fails at 5 cm or 5\u00b0", as_yes),
+    "is_stable_5cm": ("Stays within 5 cm and 5\u00b0", as_yes),
     "problem": ("Could not be simulated", as_text),
     "optimization_remains.remains": ("What remains", as_text),
     "on_floor": ("Floor", as_count),
@@ -186,14 +186,13 @@ _COLUMNS: Mapping[str, tuple[str, Format]] = {
     "regret_chamfer_m": ("Regret in CD [m]", as_number),
     "regret_chamfer_m_low": ("from", as_number),
     "regret_chamfer_m_high": ("to", as_number),
-    "milliseconds": ("Per object [ms]", as_number),
     "sr": ("SR", as_share),
     "sr_low": ("from", as_share),
     "sr_high": ("to", as_share),
     "spl": ("SPL", as_number),
     "sel": ("SEL", as_number),
     "el": ("EL", as_number),
-    "curvature_turning_angle": ("Curvature [rad/m]", as_number),
+    "curvature_turning_angle_per_m": ("Curvature [rad/m]", as_number),
     "comparison_id": ("Comparison", as_text),
     "trained_on": ("Trained on", as_text),
     "tested_on": ("Tested on", as_text),
@@ -263,7 +262,7 @@ _COLUMNS: Mapping[str, tuple[str, Format]] = {
     "room_share": ("Of the rooms", as_share),
     "model_kind": ("Architecture", as_text),
     "model_id": ("Model", as_start),
-    "category_kl_nat": ("CKL [nat]", as_number),
+    "category_kl": ("CKL [nat]", as_number),
     "colliding_share": ("Collide", as_share),
     "colliding_scene_share": ("Scenes that do", as_share),
     "off_support_share": ("Off their support", as_share),
@@ -306,7 +305,7 @@ _VIEWS: Mapping[str, tuple[str, str]] = {
         "Selection methods where the scanned model is known",
         "method dataset split instances top_1 top_1_low top_1_high top_1_without_own top_1_without_own_low top_1_without_own_high top_5 "
         "top_5_low top_5_high chamfer_m chamfer_m_low chamfer_m_high ecd_m ecd_m_low ecd_m_high box_iou box_iou_low box_iou_high color_kl "
-        "color_kl_low color_kl_high regret_chamfer_m regret_chamfer_m_low regret_chamfer_m_high milliseconds",
+        "color_kl_low color_kl_high regret_chamfer_m regret_chamfer_m_low regret_chamfer_m_high seconds_per_object",
     ),
     "selection_quality": (
         "Fit of the selected candidates",
@@ -325,7 +324,7 @@ _VIEWS: Mapping[str, tuple[str, str]] = {
     "unstable_objects": (
         "Objects that do not stay",
         "scene_id instance_id category engine support displacement_m tilt_degrees nudged_displacement_m nudged_tilt_degrees "
-        "start_penetration_m fails_5cm problem",
+        "start_penetration_m is_stable_5cm problem",
     ),
     "optimization_remains": ("What the optimization could not put right", "scene_id instance_id category remains"),
     "support_counts": (
@@ -358,7 +357,7 @@ _VIEWS: Mapping[str, tuple[str, str]] = {
     "micro_scene_splits": ("Micro-scenes by split", "split micro_scenes rooms objects micro_scene_share room_share"),
     "synthesis_figures": (
         "Scenes that models drew",
-        "dataset model_kind model_id scenes objects category_kl_nat colliding_share colliding_scene_share off_support_share "
+        "dataset model_kind model_id scenes objects category_kl colliding_share colliding_scene_share off_support_share "
         "drawn_stable_scene_share settled_stable_scene_share median_move_m p95_move_m seconds_per_scene",
     ),
     "synthesis_evaluations": (
@@ -371,11 +370,11 @@ _VIEWS: Mapping[str, tuple[str, str]] = {
     ),
     "navigation_metrics": (
         "How well policies navigate",
-        "policy run_name agent split success_distance_m n sr sr_low sr_high spl sel el curvature_turning_angle",
+        "policy run_name agent split success_distance_m n sr sr_low sr_high spl sel el curvature_turning_angle_per_m",
     ),
     "navigation_comparison": (
         "Datasets, by the policies that learned from them",
-        "comparison_id trained_on tested_on seeds scenes n sr sr_low sr_high el curvature_turning_angle sel spl",
+        "comparison_id trained_on tested_on seeds scenes n sr sr_low sr_high el curvature_turning_angle_per_m sel spl",
     ),
     "navigation_comparison_tests": (
         "Whether one dataset is better than another",
@@ -383,7 +382,8 @@ _VIEWS: Mapping[str, tuple[str, str]] = {
     ),
     "robot_metrics": (
         "How well carts drive their ways",
-        "policy run_name setup body n arrived arrived_low arrived_high collisions least_clearance_m error_m wheels_error_m nees",
+        "policy run_name setup body n arrived_share arrived_share_low arrived_share_high collisions least_clearance_m error_m "
+        "wheels_error_m nees",
     ),
     "unreachable_objects": ("Objects that no episode could be made for", "scene_id instance_id category reason"),
     "export_verdicts": ("Exports", "scene_id format files size_bytes rules broken_rules passed"),

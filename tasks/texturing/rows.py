@@ -47,6 +47,7 @@ def charts_row(
     return TextureCharts(
         asset_id=asset_id, of_asset_id=of_asset_id, method=method, made_by=made_by, side_px=side_px, faces=figures.faces,
         charts=figures.charts, stretch_l2=figures.stretch_l2, stretch_linf=figures.stretch_linf,
-        angle_distortion_radians=figures.angle_distortion, coverage=figures.coverage, overlap=figures.overlap, flipped=figures.flipped,
+        angle_distortion_radians=figures.angle_distortion, coverage=figures.coverage,
+        overlap_share=figures.overlap, flipped=figures.flipped,
         outside=figures.outside, collapsed=figures.collapsed, seam_ratio=figures.seam_ratio, seconds=seconds,
     )  # fmt: skip

@@ -127,21 +127,22 @@ WORKED: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "an end off the navmesh": ({"final_distance_m": None}, {"success": False, "spl": 0.0, "sel": 0.0}),
     "stopped at once, at the target": (
         {"actions": ("stop",), "poses": ((0.0, 0.0, 0.0),) * 2, "travelled_m": 0.0, "start_distance_m": 0.0, "expert_actions": 1},
-        {"success": True, "spl": 1.0, "sel": 1.0, "episode_length": 1, "curvature_finite_differences": 0.0, "curvature_turning_angle": 0.0},
+        {"success": True, "spl": 1.0, "sel": 1.0, "episode_length": 1, "curvature_finite_differences_per_m": 0.0,
+         "curvature_turning_angle_per_m": 0.0},
     ),
     "an expert without actions": ({"expert_actions": 0}, {"success": True, "sel": 0.0}),
     # Two positions are left once the stop's is dropped, so there is no corner.
-    "straight": ({}, {"curvature_finite_differences": 0.0, "curvature_turning_angle": 0.0}),
+    "straight": ({}, {"curvature_finite_differences_per_m": 0.0, "curvature_turning_angle_per_m": 0.0}),
     # Steps d = 1/4 with a corner t = 30 degrees: t / d = 2.0944; by differences 2 sin(t/2) / (d cos^2(t/2)) = 2.2192.
     "a corner of 30 degrees": (
         {"actions": ("forward", "left", "forward"), "poses": CORNER},
-        {"curvature_turning_angle": math.pi / 6 / 0.25,
-         "curvature_finite_differences": 2 * math.sin(math.pi / 12) / (0.25 * math.cos(math.pi / 12) ** 2)},
+        {"curvature_turning_angle_per_m": math.pi / 6 / 0.25,
+         "curvature_finite_differences_per_m": 2 * math.sin(math.pi / 12) / (0.25 * math.cos(math.pi / 12) ** 2)},
     ),
     # Forth and back: half a turn over one step, pi / 0.25; differences have no direction there and leave it out.
     "forth and back": (
         {"poses": ((0.0, 0.0, 0.0), (0.25, 0.0, 0.0), (0.0, 0.0, math.pi))},
-        {"curvature_turning_angle": math.pi / 0.25, "curvature_finite_differences": 0.0},
+        {"curvature_turning_angle_per_m": math.pi / 0.25, "curvature_finite_differences_per_m": 0.0},
     ),
 }  # fmt: skip
 
@@ -160,8 +161,8 @@ def test_points_of_a_circle_have_its_curvature(database: Database) -> None:
     poses = tuple((2 * math.cos(a), 2 * math.sin(a), a) for a in angles)
     database.fill(trajectory(poses=poses))
     (row,) = database.ask("trajectory_curvature")
-    assert row["curvature_turning_angle"] == pytest.approx(0.5, rel=1e-4)
-    assert row["curvature_finite_differences"] == pytest.approx(0.5, rel=1e-3)
+    assert row["curvature_turning_angle_per_m"] == pytest.approx(0.5, rel=1e-4)
+    assert row["curvature_finite_differences_per_m"] == pytest.approx(0.5, rel=1e-3)
 
 
 coordinate = st.sampled_from([0.0, 0.0004, 0.25, 0.5]) | st.integers(-320, 320).map(lambda n: n / 64)
@@ -230,8 +231,8 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
     for row in given_rows:
         same(
             answer[row.batch_id, row.scene_id, row.episode_id], success=success(row), spl=spl(row), sel=sel(row),
-            episode_length=len(row.actions), curvature_finite_differences=pytest.approx(curvature_finite_differences(row), rel=1e-9),
-            curvature_turning_angle=pytest.approx(curvature_turning_angle(row), rel=1e-9),
+            episode_length=len(row.actions), curvature_finite_differences_per_m=pytest.approx(curvature_finite_differences(row), rel=1e-9),
+            curvature_turning_angle_per_m=pytest.approx(curvature_turning_angle(row), rel=1e-9),
             is_counted=counted[row.policy, row.success_distance_m, row.scene_id, row.episode_id] is row,
             is_outdated=starts.get((row.scene_id, row.episode_id)) != begins(row),
         )  # fmt: skip
@@ -248,8 +249,8 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
             means = {
                 "sr": np.mean([success(r) for r in group]), "spl": np.mean([spl(r) for r in group]),
                 "sel": np.mean([sel(r) for r in group]), "el": np.mean([len(r.actions) for r in group]),
-                "curvature_turning_angle": np.mean([curvature_turning_angle(r) for r in group]),
-                "curvature_finite_differences": np.mean([curvature_finite_differences(r) for r in group]),
+                "curvature_turning_angle_per_m": np.mean([curvature_turning_angle(r) for r in group]),
+                "curvature_finite_differences_per_m": np.mean([curvature_finite_differences(r) for r in group]),
             }  # fmt: skip
             found = answers[key]
             assert {name: found[name] for name in means} == pytest.approx(means, rel=1e-9, abs=1e-12)
@@ -259,7 +260,7 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
             left = [r.final_distance_m for r in group if r.final_distance_m is not None]
             assert found["el_success"] == (pytest.approx(np.mean(won)) if won else None)
             assert found["final_distance_m"] == (pytest.approx(np.mean(left)) if left else None)
-            assert found["collisions"] == pytest.approx(np.mean([r.collisions for r in group]))
+            assert found["mean_collisions"] == pytest.approx(np.mean([r.collisions for r in group]))
             assert found["problems"] == sum(r.problem is not None for r in group)
             assert found.get("scenes", 1) == len({r.scene_id for r in group})
             assert (found["spl_95"], found["sel_95"]) == (spread([spl(r) for r in group]), spread([sel(r) for r in group]))
@@ -645,7 +646,7 @@ def test_a_batch_goes_into_the_lake_once(lake: Lake, tmp_path: Path) -> None:
     assert by_policy["expert"]["sr"] == by_policy["expert"]["sel"] == 1.0
     assert by_policy["expert"]["spl"] > 0.9
     assert by_policy["random"]["sr"] < by_policy["expert"]["sr"]
-    for name in ("n", "sr", "spl", "sel", "el", "outdated", "curvature_turning_angle", "curvature_finite_differences"):
+    for name in ("n", "sr", "spl", "sel", "el", "outdated", "curvature_turning_angle_per_m", "curvature_finite_differences_per_m"):
         assert by_policy["mine"][name] == pytest.approx(by_policy["random"][name], abs=1e-9)
     path.write_text(json.dumps(as_file(rows[1:], "world")))
     with pytest.raises(InputError, match="in the lake with other trajectories"):

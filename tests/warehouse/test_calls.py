@@ -238,10 +238,10 @@ def test_views_tell_costs_and_times(lake: Lake) -> None:
     lake.commit()
     ask = lake.snapshot()
     (cost,) = query(
-        ask, "SELECT calls, answered, away, requests, lost, prompt_tokens, cost_usd, cost_per_answer_usd FROM model_call_costs"
+        ask, "SELECT calls, answered, away, requests, lost, prompt_tokens, cost_usd, cost_usd_per_answer FROM model_call_costs"
     ).to_pylist()
     assert cost == {
-        "calls": 4, "answered": 3, "away": 1, "requests": 7, "lost": 2, "prompt_tokens": 300, "cost_usd": 1.5, "cost_per_answer_usd": 0.5,
+        "calls": 4, "answered": 3, "away": 1, "requests": 7, "lost": 2, "prompt_tokens": 300, "cost_usd": 1.5, "cost_usd_per_answer": 0.5,
     }  # fmt: skip
     (times,) = query(ask, "SELECT calls, median_seconds, slowest_seconds, reply_tokens_per_second FROM model_call_latency").to_pylist()
     assert times == {"calls": 3, "median_seconds": 2.0, "slowest_seconds": 3.0, "reply_tokens_per_second": 5.0}

@@ -29,7 +29,7 @@ from schemas.tables import TABLES
 from tasks import pipeline
 from tests.samples import fingerprint, sample, stage_run
 from warehouse.lake import Lake
-from warehouse.questions.renames import move_out_of
+from warehouse.questions.renames import former_columns, move_out_of
 from warehouse.questions.sql import query
 from warehouse.sharing.writer import new_token, this_writer
 from warehouse.tables import adoption
@@ -107,12 +107,13 @@ def test_every_table_reads_empty_under_its_schema(lake: Lake) -> None:
         for table in TABLES.values():
             described = connection.sql(f"DESCRIBE {table.name}").fetchall()
             moved = move.columns if (move := move_out_of(table.name)) else ()  # asked under their old table for one version
-            assert [row[0] for row in described] == [*(c.name for c in table.columns), *moved]
+            old = (*former_columns(table.name), *moved)
+            assert [row[0] for row in described] == [*(c.name for c in table.columns), *old]
             assert reader.arrow(table.name).schema.names == [c.name for c in table.columns]
             comments = dict(
                 connection.execute("SELECT column_name, comment FROM duckdb_columns() WHERE table_name = ?", [table.name]).fetchall()
             )
-            assert {name: text for name, text in comments.items() if name not in moved} == {c.name: c.comment for c in table.columns}
+            assert {name: text for name, text in comments.items() if name not in old} == {c.name: c.comment for c in table.columns}
             comment = connection.execute("SELECT comment FROM duckdb_views() WHERE view_name = ?", [table.name]).fetchall()
             assert comment == [(table.description,)]
 

@@ -259,7 +259,7 @@ def _views(walk: Walk, instance: Instance, root: str, depth: int) -> None:
     for frame_id in order:
         source, below, role = root, depth, "seen in"
         if frame_id in masks:
-            facts = picked(masks[frame_id], "pixel_box", "pixel_count", "visible_fraction", "score")
+            facts = picked(masks[frame_id], "pixel_box", "pixel_count", "visible_share", "score")
             source = walk.node("mask", f"{scene_id}/{frame_id}/{instance.instance_id}", facts, run)
             walk.edge(source, root, "shows")
             walk.line(depth, "seen as", source)

@@ -10,7 +10,7 @@ from warehouse.questions.documentation import sql_type, tables_page
 from warehouse.questions.macros import Macro, macros
 from warehouse.questions.quoting import quoted
 from warehouse.questions.reads import reads_sentence
-from warehouse.questions.renames import former_columns, former_views, move_out_of
+from warehouse.questions.renames import former_columns, former_values, former_views, move_out_of
 from warehouse.questions.views import View, install, views
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def _section(connection: duckdb.DuckDBPyConnection, question: View | Macro) -> s
     if columns:
         lines += ["", "| column | type |", "|---|---|", *(f"| `{name}` | {kind} |" for name, kind in columns.items())]
         lines += [
-            f"| `{before}` | old name of `{after}`, goes with the next version |" for before, after in former_columns(question.name).items()
+            f"| `{before}` | old name of `{after}`, goes with the next version |" for before, after in former_values(question.name).items()
         ]
     return "\n".join(lines) + "\n"
 

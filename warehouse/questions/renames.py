@@ -11,14 +11,20 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable
 
+from warehouse.questions.quoting import literal
+
 
 @dataclasses.dataclass(frozen=True)
 class Rename:
-    """``Rename("old", "new")`` of a view, ``Rename("old", "new", of="relation")`` of a column of a view or table."""
+    """``Rename("old", "new")`` of a view, ``Rename("old", "new", of="relation")`` of a column of a view or table.
+
+    value: SQL for what a view's column was under its old name, where it is more than another name: ``value="NOT is_new"``.
+    """
 
     before: str
     after: str
     of: str = ""
+    value: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +39,19 @@ class Move:
     columns: tuple[str, ...]
 
 
-RENAMES: tuple[Rename, ...] = ()
+_NAVIGATION = ("navigation_groups", "navigation_metrics", "navigation_metrics_by_category", "navigation_metrics_by_scene")
+
+RENAMES: tuple[Rename, ...] = (
+    *(
+        Rename(f"curvature_{reading}", f"curvature_{reading}_per_m", of=view)
+        for view in ("trajectory_curvature", "trajectory_metrics", *_NAVIGATION)
+        for reading in ("finite_differences", "turning_angle")
+    ),
+    *(Rename("collisions", "mean_collisions", of=view) for view in _NAVIGATION),
+    Rename("visible_fraction", "visible_share", of="masks"),
+    Rename("box_size_m", "box_size", of="scene_objects"),
+    Rename("fails_5cm", "is_stable_5cm", of="unstable_objects", value="NOT is_stable_5cm"),
+)
 """What the version before called otherwise."""
 
 MOVES: tuple[Move, ...] = (
@@ -62,12 +80,18 @@ def former_columns(relation: str) -> dict[str, str]:
     return {rename.before: rename.after for rename in RENAMES if rename.of == relation}
 
 
+def former_values(relation: str) -> dict[str, str]:
+    """SQL for the old columns of a view or table by their names: mostly the new name alone."""
+    return {rename.before: rename.value or rename.after for rename in RENAMES if rename.of == relation}
+
+
 def with_former(relation: str, query: str) -> str:
     """A query for a view or table with the old names of its columns after the others."""
-    former, move = former_columns(relation), move_out_of(relation)
+    former, move = former_values(relation), move_out_of(relation)
     if former:
-        old = ", ".join(f'"{after}" AS "{before}"' for before, after in former.items())
-        query = f"SELECT *, {old} FROM ({query})"
+        old = ", ".join(f'{value} AS "{before}"' for before, value in former.items())
+        known = ", ".join(map(literal, former))  # a view that takes all of another has its old names, too
+        query = f"SELECT COLUMNS(lambda name: name NOT IN ({known})), {old} FROM ({query})"
     if move is not None:
         moved = ", ".join(f'"{move.after}"."{column}"' for column in move.columns)
         query = f'SELECT kept.*, {moved} FROM ({query}) AS kept LEFT JOIN "{move.after}" USING (scene_id)'

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from schemas.tables import TABLES
 from warehouse.questions import macros
 from warehouse.questions.quoting import literal
-from warehouse.questions.renames import former_columns, former_views, with_former
+from warehouse.questions.renames import former_values, former_views, with_former
 
 if TYPE_CHECKING:
     import duckdb
@@ -54,7 +54,7 @@ def install(connection: duckdb.DuckDBPyConnection, names: frozenset[str] | None 
         statements.append(f'COMMENT ON VIEW "{view.name}" IS {literal(view.comment)}')
         statements += [
             f'COMMENT ON COLUMN "{view.name}"."{before}" IS {literal(f"Old name of {after}; it goes with the next version.")}'
-            for before, after in former_columns(view.name).items()
+            for before, after in former_values(view.name).items()
         ]
     for before, after in former_views().items():
         if names is None or before in names:

@@ -77,7 +77,7 @@ _UNPLACED = """
 """
 _UNSTABLE = """
     SELECT count(DISTINCT (scene_id, instance_id)) FILTER (problem IS NOT NULL),
-        count(DISTINCT (scene_id, instance_id)) FILTER (fails_5cm) FROM unstable_objects
+        count(DISTINCT (scene_id, instance_id)) FILTER (NOT is_stable_5cm) FROM unstable_objects
 """
 
 

@@ -11,7 +11,7 @@ SELECT
     1.5 + 8.0 * u(asset_id, 'stretch') AS stretch_linf,
     0.3 * u(asset_id, 'angles') AS angle_distortion_radians,
     0.3 + 0.6 * u(asset_id, 'coverage') AS coverage,
-    0.2 * greatest(u(asset_id, 'overlap') - 0.5, 0.0) AS overlap,
+    0.2 * greatest(u(asset_id, 'overlap') - 0.5, 0.0) AS overlap_share,
     0 AS flipped,
     below(asset_id, 'outside', 3) AS outside,
     0 AS collapsed,

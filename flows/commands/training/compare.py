@@ -159,10 +159,10 @@ def _tell(done: Compared) -> None:
     )
     table = [("trained on", "tested on", "seeds", "n", "SR", "95 % interval", "EL", "curvature", "SEL", "SPL", "at 1 m in view")]
     for row in done.rows:
-        seen = "" if row["found"] is None else f"{row['found']:.3f}"
+        seen = "" if row["found_share"] is None else f"{row['found_share']:.3f}"
         table.append(
             (row["trained_on"], row["tested_on"], f"{row['seeds']}", f"{row['n']}", f"{row['sr']:.3f}",
-             f"{row['sr_low']:.3f} to {row['sr_high']:.3f}", f"{row['el']:.1f}", _number(row["curvature_turning_angle"]),
+             f"{row['sr_low']:.3f} to {row['sr_high']:.3f}", f"{row['el']:.1f}", _number(row["curvature_turning_angle_per_m"]),
              f"{row['sel']:.3f}", f"{row['spl']:.3f}", seen)
         )  # fmt: skip
     tests = [("first", "second", "tested on", "measure", "pairs", "difference", "only first", "only second", "p", "p by scene",

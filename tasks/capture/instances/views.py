@@ -31,14 +31,14 @@ class Sight:
     """An instance as one frame sees it.
 
     instance, frame: Indices. pixel_box: x0, y0, x1, y1 in the color image, the ends exclusive.
-    mask: Pixels inside pixel_box, shape (y1 - y0, x1 - x0). visible_fraction, score: See `schemas.capture.Mask`.
+    mask: Pixels inside pixel_box, shape (y1 - y0, x1 - x0). visible_share, score: See `schemas.capture.Mask`.
     """
 
     instance: int
     frame: int
     pixel_box: tuple[int, int, int, int]
     mask: NDArray[np.bool_]
-    visible_fraction: float
+    visible_share: float
     score: float
 
 

@@ -127,7 +127,7 @@ def report(**changed: Any) -> dict[str, Any]:
         "trained_on": "replicas", "tested_on": "house", "seeds": 3, "n": 300, "episodes": 100,
         "sr": 0.32, "sr_low": 0.27, "sr_high": 0.38,
         "success_distance_m": 0.2, "least_sr": 0.3, "greatest_sr": 0.35,
-        "found": 0.25, "el": 33.71, "curvature_turning_angle": 0.46, "sel": 0.3156, "spl": 0.2691,
+        "found_share": 0.25, "el": 33.71, "curvature_turning_angle_per_m": 0.46, "sel": 0.3156, "spl": 0.2691,
     }  # fmt: skip
     test = {
         "first": "generated", "second": "replicas", "measure": "success", "pairs": 300, "difference": -0.052, "p_value": 0.0123,

@@ -73,10 +73,12 @@ def test_figures_are_those_of_the_views_and_intervals_those_of_others() -> None:
         (view,) = [row for row in database.ask("navigation_metrics") if (row["run_name"], row["success_distance_m"]) == ("a", SUCCESS_M)]
     assert (own["n"], own["found_count"], own["in_view_count"], own["found_in_view_count"]) == (5, 2, 3, 1)
     assert (own["found"], own["found_in_view"], own["stopped"]) == (0.4, pytest.approx(1 / 3), 0.8)
-    same = ("found", "arrived", "sel", "spl", "el", "found_spl", "el_success")
-    for key, column in {**{name: name for name in same}, "success": "sr", "curvature": "curvature_finite_differences"}.items():
+    same = ("sel", "spl", "el", "found_spl", "el_success")
+    named = {"found": "found_share", "arrived": "arrived_share", "success": "sr", "curvature": "curvature_finite_differences_per_m"}
+    for key, column in {**{name: name for name in same}, **named}.items():
         assert own[key] == pytest.approx(view[column]), key
-    assert (own["found_interval"]["low"], own["found_interval"]["high"]) == pytest.approx((view["found_low"], view["found_high"]))
+    interval = own["found_interval"]
+    assert (interval["low"], interval["high"]) == pytest.approx((view["found_share_low"], view["found_share_high"]))
     for figures, count, of in ((own, 2, 5), (both, 7, 10)):
         wilson = binomtest(count, of).proportion_ci(method="wilson")
         assert figures["found_interval"]["low"] == pytest.approx(wilson.low, abs=1e-4)

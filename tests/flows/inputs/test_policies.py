@@ -97,7 +97,7 @@ def test_a_model_acts_in_every_scene_and_is_measured_once(lake: Lake, monkeypatc
     monkeypatch.setattr(policies, "rolled_out", never)
     assert run_policy(lake, "navigation", SHORT) == dataclasses.replace(done, new=0)
     with lake.snapshot().connect() as connection:
-        shares = connection.sql("SELECT sr, found, looked_at, n FROM navigation_metrics WHERE policy = 'navigation'").fetchall()
+        shares = connection.sql("SELECT sr, found_share, looked_at, n FROM navigation_metrics WHERE policy = 'navigation'").fetchall()
     assert sum(n for *_, n in shares) == sum(looked for _, _, looked, _ in shares) == 12
 
 

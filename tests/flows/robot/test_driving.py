@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import math
 import os
 import shutil
 import signal
@@ -104,7 +105,7 @@ def test_other_settings_are_another_batch_and_a_setup_of_their_own(driven_lake: 
     done = carried_out(lake, [*FEW, "robot.displacement.share=0.5"])
     assert done.new == 4
     with lake.snapshot().connect() as connection:
-        table = connection.sql("SELECT setup, n, arrived, collisions FROM robot_metrics ORDER BY setup").fetchall()
+        table = connection.sql("SELECT setup, n, arrived_share, collisions FROM robot_metrics ORDER BY setup").fetchall()
     assert [(row[0], row[1], row[3]) for row in table] == [("", 4, 0), ("displacement.share 0.5", 4, 0)]
 
 
@@ -115,8 +116,12 @@ def test_the_view_is_arithmetic_over_the_rows(driven_lake: Lake) -> None:
     assert row["n"] == len(rows)
     assert row["error_m"] == pytest.approx(sum(run.error_m for run in rows) / len(rows))
     assert row["wheels_error_m"] == pytest.approx((sum(run.wheels_error_m**2 for run in rows) / len(rows)) ** 0.5)
+    turned = sum(math.degrees(run.heading_error_radians) for run in rows) / len(rows)
+    assert row["heading_error_degrees"] == pytest.approx(turned)
+    assert row["mean_recoveries"] == pytest.approx(sum(run.recoveries for run in rows) / len(rows))
+    assert row["scans_used_share"] == pytest.approx(sum(run.scans_used for run in rows) / sum(run.scans for run in rows))
     assert row["least_clearance_m"] == min(run.least_clearance_m for run in rows)
-    assert row["arrived_low"] < row["arrived"] <= row["arrived_high"] == 1.0
+    assert row["arrived_share_low"] < row["arrived_share"] <= row["arrived_share_high"] == 1.0
 
 
 def test_what_fails_in_one_scene_is_written_down_and_the_other_is_driven(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -236,7 +241,7 @@ def test_the_command_lets_a_policy_act_and_drives_its_ways(tmp_path: Path) -> No
     document = json.loads(done.stdout)
     assert (document["runs"], document["scenes"], document["new"], document["failed"]) == (2, 1, 2, [])
     (metrics,) = document["metrics"]
-    assert (metrics["policy"], metrics["arrived"], metrics["collisions"]) == ("expert", 1.0, 0)
+    assert (metrics["policy"], metrics["arrived_share"], metrics["collisions"]) == ("expert", 1.0, 0)
     again = told(tmp_path, *words)
     assert again.stdout.startswith("2 ways in 1 scene: 0 driven, 2 are in the lake already")
     assert "expert, built-in, planar" in again.stdout

@@ -153,7 +153,7 @@ def test_layouts_are_drawn_of_the_large_object_with_the_most_of_them(database: D
     by_scene: dict[str, list[str | None]] = defaultdict(list)
     for row in found:
         by_scene[row["scene_id"]].append(row["instance_id"])
-        assert (row["large_category"], row["room_type"], row["large_size_m"]) == ("desk", "office", [0.7, 1.4, 0.75])
+        assert (row["large_category"], row["room_type"], row["large_box_size"]) == ("desk", "office", [0.7, 1.4, 0.75])
     assert by_scene == expected
     database.fill(scenes[0], scenes[-1])
     assert ask(database, "synthesis_layouts") == []  # nothing to hold side by side

@@ -226,7 +226,7 @@ def test_both_unwrappers_lay_out_the_same_asset(photos: Photos) -> None:
     assert {row.of_asset_id for row in laid} == {assets[1].asset_id}
     assert {row.faces for row in laid} == {assets[1].face_count}
     assert str(laid[1].made_by).startswith("Blender ")
-    assert all(row.overlap < 0.01 and row.charts >= 1 for row in laid)
+    assert all(row.overlap_share < 0.01 and row.charts >= 1 for row in laid)
     assert assets[2].asset_id != assets[3].asset_id
 
 

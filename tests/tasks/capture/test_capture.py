@@ -528,7 +528,7 @@ def test_camera_of_the_truth_projects_into_masks(room: BoxRoom, tmp_path: Path) 
         x0, y0, x1, y1 = mask.pixel_box
         inside = (depth > 0) & (pixel >= -0.5).all(axis=1) & (pixel[:, 0] < frame.width - 0.5) & (pixel[:, 1] < frame.height - 0.5)
         in_box = (pixel >= [x0 - 1.5, y0 - 1.5]).all(axis=1) & (pixel <= [x1 + 0.5, y1 + 0.5]).all(axis=1)
-        if mask.visible_fraction > 0.6:
+        if mask.visible_share > 0.6:
             assert (inside & in_box).sum() > 0.9 * inside.sum()
 
 

@@ -174,13 +174,13 @@ def test_means_and_tests_are_those_of_the_trajectories(
         assert row["episodes"] * row["seeds"] == row["n"]
         assert (row["least_sr"], row["greatest_sr"]) == pytest.approx((min(shares), max(shares)))
         for name, of in (("sr", "success"), ("spl", "spl"), ("sel", "sel"), ("el", "episode_length"),
-                         ("curvature_turning_angle", "curvature_turning_angle")):  # fmt: skip
+                         ("curvature_turning_angle_per_m", "curvature_turning_angle_per_m")):  # fmt: skip
             assert row[name] == pytest.approx(np.mean([float(value[of]) for value in values]))
         for end in (row["sr_low"], row["sr_high"]):  # Wilson's ends p solve |sr - p| = z sqrt(p (1 - p) / n)
             if 0 < end < 1:
                 assert abs(row["sr"] - end) == pytest.approx(1.96 * math.sqrt(end * (1 - end) / len(group)), rel=1e-6)
         looked = [value["found"] for value in values if value["found"] is not None]
-        assert row["found"] == (pytest.approx(np.mean(looked)) if looked else None)
+        assert row["found_share"] == (pytest.approx(np.mean(looked)) if looked else None)
     asked = database.ask("navigation_comparison_tests")
     assert (
         len(asked) == len(tests) == 2 * len({key[2] for key in groups}) * math.comb(len({each.trained_on for each in runs}), 2) * bool(runs)

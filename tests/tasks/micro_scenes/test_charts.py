@@ -77,7 +77,7 @@ def layout_row(
 ) -> dict[str, Any]:
     return {
         "scene_id": scene, "instance_id": instance, "category": category, "large_category": "desk", "room_type": "office",
-        "large_size_m": [0.7, 1.4, 0.75], "box_center_m": center, "box_size_m": size, "yaw_degrees": yaw,
+        "large_box_size": [0.7, 1.4, 0.75], "box_center": center, "box_size": size, "yaw_degrees": yaw,
     }  # fmt: skip
 
 

@@ -164,7 +164,7 @@ def photographed(
     mask = Mask(
         scene_id=SCENE, frame_id=frame.frame_id, instance_id=instance.instance_id, found_by="surface",
         pixel_box=box, pixel_count=int(silhouette.sum()),
-        visible_fraction=1.0, score=1.0, run_lengths=run_lengths(silhouette),
+        visible_share=1.0, score=1.0, run_lengths=run_lengths(silhouette),
     )  # fmt: skip
     view = room.blobs.add(encode_jpeg(view_of(drawn.color, box), 256), "jpg")
     seen = dataclasses.replace(instance, view_blob=view, best_frames=(frame.frame_id,))

@@ -29,6 +29,7 @@ SCENES = ["demo/scene0000_00", "demo/scene0001_00"]
 RENAMED = (
     Rename("how_many", "objects_per_scene"),
     Rename("things", "objects", of="objects_per_scene"),
+    Rename("is_empty", "objects", of="objects_per_scene", value="objects = 0"),
     Rename("shape", "form", of="captions"),
 )
 
@@ -61,9 +62,9 @@ def test_every_rename_leads_somewhere() -> None:
 def test_a_view_and_a_column_of_one_answer_by_both_names(lake: Lake) -> None:
     reader = lake.snapshot()
     assert query(reader, "FROM how_many").equals(query(reader, "FROM objects_per_scene"))
-    rows = query(reader, "SELECT objects, things FROM objects_per_scene").to_pylist()
+    rows = query(reader, "SELECT objects, things, is_empty FROM objects_per_scene").to_pylist()
     assert rows
-    assert all(row["objects"] == row["things"] for row in rows)
+    assert all(row["objects"] == row["things"] and row["is_empty"] is False for row in rows)
     with empty_lake() as connection:
         one = next(view for view in views() if view.name == "objects_per_scene")
         assert "things" not in described(connection, one)["columns"]
@@ -73,7 +74,19 @@ def test_a_view_and_a_column_of_one_answer_by_both_names(lake: Lake) -> None:
     page = views_page()
     assert "| `how_many` | [`objects_per_scene`](#objects_per_scene) |" in page
     assert "| `things` | old name of `objects`, goes with the next version |" in page
+    assert "| `is_empty` | old name of `objects = 0`, goes with the next version |" in page
     assert "(before: `shape`)" in table_section(TABLES["captions"])
+
+
+def test_a_view_that_takes_all_of_another_has_its_old_names_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    of = ("navigation_groups", "navigation_metrics")
+    monkeypatch.setattr(renames, "RENAMES", tuple(Rename("trials", "n", of=view) for view in of))
+    with empty_lake() as connection:
+        for view in of:
+            names = [row[0] for row in connection.execute(f'DESCRIBE "{view}"').fetchall()]
+            assert (names.count("n"), names.count("trials"), len(names)) == (1, 1, len(set(names)))
+        macro_columns = [row[0] for row in connection.execute("DESCRIBE FROM objects_of(NULL)").fetchall()]
+        assert len(macro_columns) == len(set(macro_columns))
 
 
 @pytest.mark.whole

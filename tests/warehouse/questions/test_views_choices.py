@@ -90,9 +90,9 @@ def test_distances_turns_and_sizes_of_what_two_put_in_a_place(database: Database
         ratios = [max(one / other, other / one) for (_, one), (_, other) in both]
         assert row["instances"] == len(both)
         assert row["median_distance_m"] == pytest.approx(np.quantile(apart, 0.5))
-        assert row["ninetieth_distance_m"] == pytest.approx(np.quantile(apart, 0.9))
-        assert row["median_turn_radians"] == pytest.approx(np.quantile(turns, 0.5), abs=1e-6)
-        assert row["ninetieth_turn_radians"] == pytest.approx(np.quantile(turns, 0.9), abs=1e-6)
+        assert row["p90_distance_m"] == pytest.approx(np.quantile(apart, 0.9))
+        assert row["median_turn_degrees"] == pytest.approx(math.degrees(np.quantile(turns, 0.5)), abs=1e-4)
+        assert row["p90_turn_degrees"] == pytest.approx(math.degrees(np.quantile(turns, 0.9)), abs=1e-4)
         assert row["median_size_ratio"] == pytest.approx(np.quantile(ratios, 0.5))
 
 
@@ -169,7 +169,7 @@ def test_training_data_has_every_candidate_with_its_labels(database: Database, r
                 answers[key].choice is None, PROVIDERS[selection.asset_id], "train" if key[0] == SCENES[0] else None, selection.rank,
             )  # fmt: skip
     answer = by_key(database.ask("selection_training"), "scene_id", "instance_id", "annotator", "slot")
-    facts = ("is_chosen", "people_rank", "none_fits", "provider", "split", "rank")
+    facts = ("is_chosen", "people_rank", "has_no_choice", "provider", "split", "rank")
     assert {key: tuple(row[name] for name in facts) for key, row in answer.items()} == expected
     objects = {(row.scene_id, row.instance_id): row for row in of(rows, Instance)}
     for row in answer.values():

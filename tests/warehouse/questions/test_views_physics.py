@@ -169,7 +169,7 @@ def test_stability_counts_the_free_and_names_those_that_fail(database: Database,
     )
     for key, row in named.items():
         same(
-            row, category=category[key[:2]], support=support[key[:2]], remains=placed[key[:2]], fails_5cm=not failing[key].is_stable_5cm,
+            row, category=category[key[:2]], support=support[key[:2]], remains=placed[key[:2]], is_stable_5cm=failing[key].is_stable_5cm,
             displacement_m=failing[key].displacement_m, problem=failing[key].problem,
             tilt_degrees=degrees(failing[key].tilt_radians), nudged_displacement_m=failing[key].nudged_displacement_m,
             nudged_tilt_degrees=degrees(failing[key].nudged_tilt_radians),

@@ -1,5 +1,5 @@
 -- Which objects does a scene hold, and what stands for each?
--- Version 1.
+-- Version 2.
 -- Rows of the view scene_objects.
 -- Example: FROM objects_of('<dataset>/<scan>')
 CREATE MACRO objects_of(scene) AS TABLE

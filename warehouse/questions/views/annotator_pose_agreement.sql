@@ -1,5 +1,5 @@
 -- How far apart do two annotators put the same asset for the same instance?
--- Version 1.
+-- Version 2.
 -- Of each annotator the answer that counts (view current_answers), where both chose one asset; who gave no transform left it as selection
 -- aligned it. Distances are between the assets' origins, turns the least angle that takes one pose to the other, size ratios the larger
 -- volume over the smaller. Instances that were numbered anew since are not told apart.
@@ -48,9 +48,9 @@ SELECT
     annotator_b,
     count(*) AS instances,
     quantile_cont(distance_m, 0.5) AS median_distance_m,
-    quantile_cont(distance_m, 0.9) AS ninetieth_distance_m,
-    quantile_cont(turn_radians, 0.5) AS median_turn_radians,
-    quantile_cont(turn_radians, 0.9) AS ninetieth_turn_radians,
+    quantile_cont(distance_m, 0.9) AS p90_distance_m,
+    degrees(quantile_cont(turn_radians, 0.5)) AS median_turn_degrees,
+    degrees(quantile_cont(turn_radians, 0.9)) AS p90_turn_degrees,
     quantile_cont(size_ratio, 0.5) AS median_size_ratio
 FROM pairs
 GROUP BY annotator_a, annotator_b

@@ -1,13 +1,13 @@
 -- What did the calls cost that each scene was the first to need?
--- Version 1.
+-- Version 2.
 -- A call is made once for the whole lake: another scene that asks the same is given its reply.
 SELECT
     scene_id,
     stage,
     count(*) AS calls,
     count(*) FILTER (outcome <> 'answered') AS unanswered,
-    sum(prompt_tokens) AS prompt_tokens,
-    sum(reply_tokens) AS reply_tokens,
+    CAST(sum(prompt_tokens) AS BIGINT) AS prompt_tokens,
+    CAST(sum(reply_tokens) AS BIGINT) AS reply_tokens,
     sum(cost_usd) AS cost_usd,
     sum(seconds) AS seconds
 FROM model_calls

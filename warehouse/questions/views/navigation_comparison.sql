@@ -1,11 +1,11 @@
 -- How well do policies navigate that learned from one dataset or another, in the same episodes of a third?
--- Version 1.
+-- Version 2.
 -- One row per comparison, choice of training datasets (trained_on) and test dataset (tested_on), over all seeds: the trajectories are those
 -- that the comparison was made of (table compared_runs), and n is episodes times seeds. Measures are those of the view trajectory_metrics:
 -- sr from sr_low to sr_high (Wilson's interval of 95 %, which takes trajectories as independent; those of one scene, and those of one
 -- seed, are not: the view navigation_comparison_tests has tests that do without), least_sr and greatest_sr of the seeds, el (actions, the
 -- last one included; el_success of the successful ones, as the paper has it), sel, spl (plus or minus *_95, 1.96 standard errors; missing
--- for n = 1), curvature by two readings [rad/m], and found, as the view trajectory_metrics says.
+-- for n = 1), curvature by two readings [rad/m], and found_share, as the view trajectory_metrics says.
 -- Comparisons with a model that was withdrawn are left out.
 WITH withdrawn AS (
     SELECT DISTINCT comparison_id
@@ -53,15 +53,15 @@ SELECT
     any_value(seeds.greatest_sr) AS greatest_sr,
     avg(measured.episode_length) AS el,
     avg(measured.episode_length) FILTER (measured.success) AS el_success,
-    avg(measured.curvature_finite_differences) AS curvature_finite_differences,
-    avg(measured.curvature_turning_angle) AS curvature_turning_angle,
+    avg(measured.curvature_finite_differences_per_m) AS curvature_finite_differences_per_m,
+    avg(measured.curvature_turning_angle_per_m) AS curvature_turning_angle_per_m,
     avg(measured.sel) AS sel,
     1.96 * stddev_samp(measured.sel) / sqrt(count(*)) AS sel_95,
     avg(measured.spl) AS spl,
     1.96 * stddev_samp(measured.spl) / sqrt(count(*)) AS spl_95,
-    avg(CAST(measured.found AS INTEGER)) AS found,
-    wilson_interval(count(*) FILTER (measured.found), count(measured.found)).low AS found_low,
-    wilson_interval(count(*) FILTER (measured.found), count(measured.found)).high AS found_high
+    avg(CAST(measured.found AS INTEGER)) AS found_share,
+    wilson_interval(count(*) FILTER (measured.found), count(measured.found)).low AS found_share_low,
+    wilson_interval(count(*) FILTER (measured.found), count(measured.found)).high AS found_share_high
 FROM measured
 JOIN seeds USING (comparison_id, trained_on, tested_on)
 GROUP BY measured.comparison_id, measured.trained_on, measured.tested_on

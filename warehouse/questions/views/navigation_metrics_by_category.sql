@@ -1,5 +1,5 @@
 -- How well does each policy find targets of each category, by split?
--- Version 2.
+-- Version 3.
 -- Of every episode one trajectory counts; the view navigation_groups says what each column is.
 SELECT * EXCLUDE (grouped_by, scene_id)
 FROM navigation_groups

@@ -1,7 +1,7 @@
 -- How well do carts drive the ways of each policy?
--- Version 1.
+-- Version 2.
 -- setup: what of the settings was not as by default. Of every episode the newest run counts (current_robot_runs); means are of runs that
--- moved. arrived: share whose cart ended where its way ends, from arrived_low to arrived_high (Wilson 1927, 95 %; it takes runs as
+-- moved. arrived_share: of carts that ended where their way ends, from _low to _high (Wilson 1927, 95 %; it takes runs as
 -- independent, which those of one scene are not quite); stuck, timeout, collided, unreachable: how many ended so. collisions: times that
 -- carts ran into something. least_clearance_m: least distance to an obstacle of all. error_m: mean over runs of the mean distance of
 -- truth and where the cart believed to be; wheels_error_m, wheels_gyro_error_m, final_error_m: root mean square, over runs, of the
@@ -15,9 +15,9 @@ SELECT
     body,
     count(*) AS n,
     count(DISTINCT scene_id) AS scenes,
-    count(*) FILTER (outcome = 'arrived') / count(*) AS arrived,
-    wilson_interval(count(*) FILTER (outcome = 'arrived'), count(*)).low AS arrived_low,
-    wilson_interval(count(*) FILTER (outcome = 'arrived'), count(*)).high AS arrived_high,
+    count(*) FILTER (outcome = 'arrived') / count(*) AS arrived_share,
+    wilson_interval(count(*) FILTER (outcome = 'arrived'), count(*)).low AS arrived_share_low,
+    wilson_interval(count(*) FILTER (outcome = 'arrived'), count(*)).high AS arrived_share_high,
     count(*) FILTER (outcome = 'stuck') AS stuck,
     count(*) FILTER (outcome = 'timeout') AS timeout,
     count(*) FILTER (outcome = 'collided') AS collided,
@@ -26,16 +26,16 @@ SELECT
     min(least_clearance_m) FILTER (seconds > 0) AS least_clearance_m,
     avg(error_m) FILTER (seconds > 0) AS error_m,
     max(greatest_error_m) AS greatest_error_m,
-    avg(heading_error_radians) FILTER (seconds > 0) AS heading_error_radians,
+    degrees(avg(heading_error_radians) FILTER (seconds > 0)) AS heading_error_degrees,
     sqrt(avg(wheels_error_m * wheels_error_m) FILTER (seconds > 0)) AS wheels_error_m,
     sqrt(avg(wheels_gyro_error_m * wheels_gyro_error_m) FILTER (seconds > 0)) AS wheels_gyro_error_m,
     sqrt(avg(final_error_m * final_error_m) FILTER (seconds > 0)) AS final_error_m,
     avg(nees) FILTER (seconds > 0) AS nees,
     avg(seconds) FILTER (seconds > 0) AS seconds,
     avg(travelled_m) FILTER (seconds > 0) AS travelled_m,
-    avg(recoveries) AS recoveries,
+    avg(recoveries) AS mean_recoveries,
     count(*) FILTER (len(moved) > 0) AS with_moved,
-    sum(scans_used) / nullif(sum(scans), 0) AS scans_used,
+    sum(scans_used) / nullif(sum(scans), 0) AS scans_used_share,
     avg(decision_seconds) FILTER (seconds > 0) AS decision_seconds,
     max(slowest_decision_seconds) AS slowest_decision_seconds
 FROM current_robot_runs

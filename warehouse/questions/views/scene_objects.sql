@@ -1,11 +1,11 @@
 -- What is each object of a scene, what stands for it, and how far was that moved?
--- Version 2.
+-- Version 3.
 -- 'settled' is what MuJoCo says of the optimized pose. What was cut from a scan has its license (view asset_licenses).
 SELECT
     instances.scene_id,
     instances.instance_id,
     instances.category,
-    instances.box_size AS box_size_m,
+    instances.box_size,
     instances.box_volume_m3,
     captions.materials[1] AS material,
     captions.mass_kg,

@@ -1,5 +1,5 @@
 -- How good are selection methods where the scanned model is known, each with its interval over rooms?
--- Version 1.
+-- Version 2.
 -- One row for each method, or model, that a training measured on one split of a dataset; figures and intervals of 95 % are those of
 -- model_evaluations. top_1: the true candidate is chosen; top_1_without_own: the same where candidates with the scanned model's own mesh,
 -- and its crop, do not compete. regret_: how much worse the choice is than the best candidate. Figures that nobody took are missing. What
@@ -43,7 +43,7 @@ SELECT
     max(high) FILTER (metric = 'regret_chamfer_m') AS regret_chamfer_m_high,
     max(value) FILTER (metric = 'regret_box_iou') AS regret_box_iou,
     max(value) FILTER (metric = 'regret_color_kl') AS regret_color_kl,
-    max(value) FILTER (metric = 'milliseconds') AS milliseconds,
+    max(value) FILTER (metric = 'milliseconds') / 1000 AS seconds_per_object,
     model_id,
     training_id
 FROM figures

@@ -1,8 +1,9 @@
 -- What did people choose and rank among the candidates of an instance, beside all that selection measured of each?
--- Version 1.
+-- Version 2.
 -- Training data of selection models: one row for each candidate that selection aligned and each annotator whose answer counts (view
 -- current_answers). is_chosen and people_rank are the labels: 1 for the choice, the places of the ranking after it, missing for what they
--- did not rank; none_fits: they chose nothing. split is that of the scene's room (view episode_splits): train on the one, test on the other.
+-- did not rank; has_no_choice: they chose nothing. split is that of the scene's room (view episode_splits): train on the one, test on the
+-- other.
 WITH orders AS (
     SELECT
         scene_id,
@@ -39,8 +40,8 @@ SELECT
     selections.foreign_share,
     selections.color_similarity,
     coalesce(selections.asset_id = orders.choice, false) AS is_chosen,
-    nullif(list_position(orders.ranked, selections.asset_id), 0) AS people_rank,
-    orders.choice IS NULL AS none_fits
+    CAST(nullif(list_position(orders.ranked, selections.asset_id), 0) AS BIGINT) AS people_rank,
+    orders.choice IS NULL AS has_no_choice
 FROM orders
 JOIN selections USING (scene_id, instance_id)
 JOIN instances USING (scene_id, instance_id)

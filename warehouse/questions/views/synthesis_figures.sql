@@ -1,8 +1,8 @@
 -- How good are the scenes that synthesis models drew?
--- Version 1.
+-- Version 2.
 -- One row per model and dataset that its scenes are rows of; objects are the small ones that were drawn.
--- category_kl_nat (CKL): sum over categories of p (ln(p + 1e-6) - ln(q + 1e-6)); q are shares of categories among the drawn objects, p those
--- among the small objects of all other micro-scenes of the lake, each category of large objects weighted as often as it was drawn on.
+-- category_kl (CKL, in nats): sum over categories of p (ln(p + 1e-6) - ln(q + 1e-6)); q are shares of categories among the drawn objects,
+-- p those among the small objects of all other micro-scenes of the lake, each category of large ones weighted as often as it was drawn on.
 -- Large categories of which there is no other micro-scene are left out on both sides.
 -- colliding_ and off_support_ are of the boxes as drawn, and so are drawn_stable_: MuJoCo leaves the object within 1 cm and 5 degrees.
 -- placed_colliding_share is of the objects whose assets, as proposed, go deeper than 5 mm into another drawn object's. settled_stable_ are
@@ -51,7 +51,7 @@ drawn_shares AS (
 divergences AS (
     SELECT
         truth.model_id, truth.dataset,
-        sum(truth.share * (ln(truth.share + 1e-6) - ln(coalesce(drawn_shares.share, 0) + 1e-6))) AS category_kl_nat
+        sum(truth.share * (ln(truth.share + 1e-6) - ln(coalesce(drawn_shares.share, 0) + 1e-6))) AS category_kl
     FROM truth
     LEFT JOIN drawn_shares USING (model_id, dataset, category)
     WHERE (truth.model_id, truth.dataset) IN (SELECT (model_id, dataset) FROM drawn_shares)
@@ -127,7 +127,7 @@ SELECT
     counted.scenes,
     counted.objects,
     counted.objects / counted.scenes AS objects_per_scene,
-    divergences.category_kl_nat,
+    divergences.category_kl,
     counted.colliding_share,
     counted.colliding_scene_share,
     counted.off_support_share,

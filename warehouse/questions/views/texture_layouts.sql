@@ -1,7 +1,7 @@
 -- What are the layouts of textures worth, by who made them?
--- Version 1.
+-- Version 2.
 -- Medians over assets. source is what models of others came with. stretch_l2 and stretch_linf are 1 without distortion (Sander et al.
--- 2001); overlap is the share of what a layout covers that shows more than one place of the surface: mean, since most have none.
+-- 2001); overlap_share is of what a layout covers that shows more than one place of the surface: mean, since most have none.
 SELECT
     method,
     made_by,
@@ -10,9 +10,9 @@ SELECT
     quantile_cont(charts, 0.5) AS median_charts,
     quantile_cont(stretch_l2, 0.5) AS median_stretch_l2,
     quantile_cont(stretch_linf, 0.5) AS median_stretch_linf,
-    quantile_cont(angle_distortion_radians, 0.5) AS median_angle_distortion_radians,
+    degrees(quantile_cont(angle_distortion_radians, 0.5)) AS median_angle_distortion_degrees,
     quantile_cont(coverage, 0.5) AS median_coverage,
-    avg(overlap) AS mean_overlap,
+    avg(overlap_share) AS mean_overlap_share,
     quantile_cont(seam_ratio, 0.5) AS median_seam_ratio,
     quantile_cont(seconds, 0.5) AS median_seconds
 FROM texture_charts

@@ -1,9 +1,9 @@
 -- How curved is the way that each trajectory takes over the floor, in radians per metre?
--- Version 1.
+-- Version 2.
 -- Positions less than 1 mm from the one before are repeated and dropped (turns on the spot, blocked steps); with fewer than 3
--- left the way counts as straight, 0. curvature_finite_differences: mean of k = |x' y'' - y' x''| / (x'^2 + y'^2)^(3/2) over
+-- left the way counts as straight, 0. curvature_finite_differences_per_m: mean of k = |x' y'' - y' x''| / (x'^2 + y'^2)^(3/2) over
 -- the inner positions, x' = (x[i+1] - x[i-1]) / 2 and x'' = x[i+1] - 2 x[i] + x[i-1]; an exact way back, where x' = y' = 0, is
--- left out. curvature_turning_angle: sum of the turning angles at the inner positions over the sum of the mean lengths of the
+-- left out. curvature_turning_angle_per_m: sum of the turning angles at the inner positions over the sum of the mean lengths of the
 -- two steps that meet there; a corner of 30 degrees between steps of 0.25 m gives (pi / 6) / 0.25 = 2.09 rad/m. Curvature of
 -- trajectories as a measure is that of Eftekhar et al., Selective Visual Representations (ICLR 2024); its code was not
 -- available, so both readings are given under names of their own.
@@ -58,8 +58,8 @@ SELECT
     trajectories.batch_id,
     trajectories.scene_id,
     trajectories.episode_id,
-    coalesce(curved.differences, 0) AS curvature_finite_differences,
-    coalesce(curved.turning, 0) AS curvature_turning_angle
+    coalesce(curved.differences, 0) AS curvature_finite_differences_per_m,
+    coalesce(curved.turning, 0) AS curvature_turning_angle_per_m
 FROM trajectories
 LEFT JOIN curved USING (batch_id, scene_id, episode_id)
 ORDER BY trajectories.batch_id, trajectories.scene_id, trajectories.episode_id

@@ -1,5 +1,5 @@
 -- How well did each trajectory do?
--- Version 2.
+-- Version 3.
 -- success: stop was called and the geodesic distance to the nearest view point of the episode's own target is below
 -- success_distance_m (Anderson et al., On Evaluation of Embodied Navigation Agents, 2018; Habitat's Success; habitat-lab's ObjectNav
 -- takes any other object of the category as well). episode_length: all executed actions, the terminating one included (SPOC's
@@ -72,8 +72,8 @@ SELECT
         WHEN judged.expert_actions = 0 THEN CASE WHEN judged.episode_length = 0 THEN 1.0 ELSE 0.0 END
         ELSE judged.expert_actions / greatest(judged.episode_length, judged.expert_actions)
     END AS sel,
-    trajectory_curvature.curvature_finite_differences,
-    trajectory_curvature.curvature_turning_angle,
+    trajectory_curvature.curvature_finite_differences_per_m,
+    trajectory_curvature.curvature_turning_angle_per_m,
     judged.called_stop,
     judged.collisions,
     judged.travelled_m,

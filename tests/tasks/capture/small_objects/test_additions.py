@@ -79,7 +79,7 @@ def assert_is_the_box(outcome: Outcome, found: Instance, by: str = "classical") 
         assert mask.found_by == by
         assert pixels.sum() == mask.pixel_count
         assert run_lengths(pixels) == mask.run_lengths
-        assert mask.visible_fraction > 0.5
+        assert mask.visible_share > 0.5
     assert found.view_blob in outcome.blobs
 
 

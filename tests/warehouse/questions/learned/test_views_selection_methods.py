@@ -157,5 +157,7 @@ def test_the_table_of_methods_is_the_figures_side_by_side() -> None:
                 assert row[figure.metric] == figure.value
                 if f"{figure.metric}_low" in row:
                     assert (row[f"{figure.metric}_low"], row[f"{figure.metric}_high"]) == (figure.low, figure.high)
+        (took,) = [each for each in evaluations if (each.method, each.metric) == (row["method"], "milliseconds")] or [None]
+        assert row["seconds_per_object"] == (None if took is None else took.value / 1000)
     (model,) = [row for row in answer if row["method"] == "selection"]
     assert (model["top_1"], model["top_5"], model["chamfer_m"]) == (0.8, None, None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator
 from typing import Any
@@ -102,7 +103,8 @@ def layouts(draw: st.DrawFn) -> list[TextureCharts]:
             sample(
                 TextureCharts, asset_id=asset(number), of_asset_id=None if method == "source" else asset(plain), method=method,
                 made_by=None if method == "source" else f"{method} {draw(st.integers(1, 2))}", charts=draw(st.integers(1, 9)),
-                faces=draw(st.integers(1, 64)), coverage=draw(st.integers(0, 64)) / 64, overlap=draw(st.integers(0, 64)) / 64,
+                faces=draw(st.integers(1, 64)), coverage=draw(st.integers(0, 64)) / 64,
+                angle_distortion_radians=draw(st.integers(0, 64)) / 64, overlap_share=draw(st.integers(0, 64)) / 64,
                 stretch_l2=1 + draw(EXACT), seconds=None if method == "source" else draw(EXACT),
             )
         )  # fmt: skip
@@ -126,7 +128,9 @@ def test_layouts_by_method_and_side_by_side(database: Database, rows: list[Textu
         seconds = [row.seconds for row in group if row.seconds is not None]
         same(
             answer[key], assets=len(group), median_charts=float(np.median([row.charts for row in group])),
-            median_faces=float(np.median([row.faces for row in group])), mean_overlap=float(np.mean([row.overlap for row in group])),
+            median_faces=float(np.median([row.faces for row in group])),
+            mean_overlap_share=float(np.mean([row.overlap_share for row in group])),
+            median_angle_distortion_degrees=math.degrees(np.median([row.angle_distortion_radians for row in group])),
             median_coverage=float(np.median([row.coverage for row in group])),
             median_seconds=float(np.median(seconds)) if seconds else None,
         )  # fmt: skip
