@@ -204,7 +204,7 @@ def carried_out(jobs: Mapping[Any, Job], workers: int | None, advance: Callable[
 
     What is remembered is looked up here: no worker is started for it.
     """
-    made = {key: found for key, job in jobs.items() if (found := _remembered(job)) is not None}
+    made = {key: known for key, job in jobs.items() if (known := _remembered(job)) is not None}
     for key in made:
         advance(str(key))
     left = {key: job for key, job in jobs.items() if key not in made}

@@ -12,7 +12,7 @@ import pyarrow as pa
 from tasks.stats.axes import heat_cells
 from tasks.stats.counts import CATEGORY_LIMIT, thousands
 from tasks.stats.style import GRID, INK, MUTED, WIDTH_INCHES, Picture, canvas, chart, in_style, panels, picture
-from tasks.stats.tips import told
+from tasks.stats.tips import name_mark
 from tasks.synthesis.layout import Large, Layout
 from tasks.synthesis.pictures import color_of, footprint
 
@@ -177,7 +177,7 @@ def _draw(axes: Any, layout: Layout) -> None:
     for at in np.argsort(tops, kind="stable").tolist():
         name = layout.categories[at]
         box = Polygon(_turned(footprint(layout, at)), facecolor=_tinted(name), edgecolor=_solid(name), linewidth=1.0)
-        told(box, f"{_words(name)}, {' x '.join(f'{extent:.2f}' for extent in layout.sizes[at])} m")
+        name_mark(box, f"{_words(name)}, {' x '.join(f'{extent:.2f}' for extent in layout.sizes[at])} m")
         axes.add_patch(box)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from schemas.navigation import Episode
 from tasks.stats.style import WIDTH_INCHES, Picture, in_style, picture
-from tasks.stats.tips import told
+from tasks.stats.tips import name_mark
 
 if TYPE_CHECKING:
     import shapely
@@ -57,15 +57,15 @@ def draw_plan(
         ring = np.asarray(floor, dtype=np.float64)
         axes.fill(*ring.T, facecolor="#f3efe6", edgecolor="#4a4a4a", linewidth=1.4)
 
-    def paint(shape: shapely.Geometry, said: str = "", **style: object) -> None:
+    def paint(shape: shapely.Geometry, text: str = "", **style: object) -> None:
         for part in shapely.get_parts(shape):
             if part.geom_type != "Polygon" or part.is_empty:
                 continue
             turned = shapely.orient_polygons(part)
             rings = [Outline(shapely.get_coordinates(ring), closed=True) for ring in (turned.exterior, *turned.interiors)]
             drawn = axes.add_patch(PathPatch(Outline.make_compound_path(*rings), **style))
-            if said:
-                told(drawn, said)
+            if text:
+                name_mark(drawn, text)
 
     paint(free, facecolor="#d5e8d4", edgecolor="#82b366", linewidth=0.8)
     for wall in walls:
@@ -82,7 +82,9 @@ def draw_plan(
     for episode in shown:
         line = np.array(episode.path)
         (drawn,) = axes.plot(*line.T, linewidth=1.0, alpha=0.75, color=_color(episode.instance_id), zorder=3)
-        told(drawn, f"episode {episode.episode_id}: {episode.geodesic_m:.2f} m to {episode.category} {episode.instance_id}", along=True)
+        name_mark(
+            drawn, f"episode {episode.episode_id}: {episode.geodesic_m:.2f} m to {episode.category} {episode.instance_id}", along=True
+        )
         axes.plot(*line[0], marker="o", markersize=3, color=drawn.get_color(), zorder=4)
         axes.plot(*line[-1], marker="x", markersize=5, color=drawn.get_color(), zorder=4)
     axes.set_aspect("equal")

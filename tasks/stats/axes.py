@@ -51,8 +51,8 @@ def heat_cells(axes: Axes, names: Sequence[str], columns: Sequence[str], share: 
                 strength = 0.06 + 0.42 * share[line, column] / share.max()  # the text on it stays legible on light and on dark ground
                 axes.barh(line, 1.0, left=column - 0.5, height=1.0, color=SERIES[0].light, alpha=strength, linewidth=0)
                 axes.text(column, line, text, ha="center", va="center", fontsize=6.5, color=INK.light)
-                said = f"{names[line]}, {columns[column]}: {text}, {share[line, column]:.0%}" if not text.endswith("%") else ""
-                area(axes, (column - 0.5, column + 0.5), (line - 0.5, line + 0.5), said or f"{names[line]}, {columns[column]}: {text}")
+                what = f"{names[line]}, {columns[column]}: {text}" + ("" if text.endswith("%") else f", {share[line, column]:.0%}")
+                area(axes, (column - 0.5, column + 0.5), (line - 0.5, line + 0.5), what)
     category_axis(axes, [short(name, 22) for name in names])
     axes.tick_params(axis="y", labelsize=8)
     axes.set_ylim(len(names) - 0.5, -0.5)

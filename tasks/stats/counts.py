@@ -158,8 +158,8 @@ def growth(rows: pa.Table) -> Picture | None:
     for axes, column in zip(grid, GROWING, strict=True):
         values = np.array([row[column] for row in releases])
         axes.bar(x, values, width=0.72, color=_BLUE, alpha=0.85)
-        said = [f"{row['name']}: {row[column]} {column}" for row in releases]
-        tell_columns(axes, said, [(at - 0.5, at + 0.5) for at in range(len(releases))])
+        texts = [f"{row['name']}: {row[column]} {column}" for row in releases]
+        tell_columns(axes, texts, [(at - 0.5, at + 0.5) for at in range(len(releases))])
         axes.annotate(
             thousands(int(values[-1])),
             (x[-1], values[-1]),

@@ -62,10 +62,10 @@ def heat_map(marked: MarkedPoints, room: Shell | None, scene_id: str) -> Picture
             interpolation="nearest", zorder=2,
         )  # fmt: skip
         for low, high, most in _squares(points[:, :2], distance):
-            said = (
+            text = (
                 f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m: {'over ' if most >= FARTHEST_M else ''}{most:.2f} m"
             )
-            area(axes, (low[0], high[0]), (low[1], high[1]), said)
+            area(axes, (low[0], high[0]), (low[1], high[1]), text)
         bar = figure.colorbar(image, ax=axes, extend="max")
         bar.set_label("Farthest from the replica [m]")
     else:

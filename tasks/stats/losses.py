@@ -48,8 +48,8 @@ def loss_curve(steps: pa.Table, method: str, scene_id: str) -> Picture | None:
     axes.plot(step[ends], smallest[ends], color=_BLUE, linewidth=1.8, drawstyle="steps-post", label="smallest so far")
     marks = falls[np.unique(np.linspace(0, len(falls) - 1, min(len(falls), _MOST_TIPS)).astype(np.int64))]
     after = np.append(step[marks[1:]], max(step[-1], step[marks[-1]] + 1))
-    told = [f"from step {step[at]:.0f}: smallest so far {smallest[at]:.3g} {unit}" for at in marks]
-    columns(axes, told, list(zip(step[marks].tolist(), after.tolist(), strict=True)))
+    texts = [f"from step {step[at]:.0f}: smallest so far {smallest[at]:.3g} {unit}" for at in marks]
+    columns(axes, texts, list(zip(step[marks].tolist(), after.tolist(), strict=True)))
     _loss_axis(axes, np.concatenate([loss, smallest]))
     axes.grid(visible=False, axis="x")
     axes.grid(visible=True, axis="y", color=GRID.light, linewidth=0.7)

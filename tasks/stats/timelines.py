@@ -11,7 +11,7 @@ import pyarrow as pa
 from tasks.stats.axes import category_axis
 from tasks.stats.counts import SCENE_LIMIT
 from tasks.stats.style import MUTED, SERIES, Picture, canvas, chart, in_style
-from tasks.stats.tips import area, lines, told
+from tasks.stats.tips import area, lines, name_mark
 
 LANE_LIMIT = 24
 """Workers with a lane of their own, the busiest; a phone has place for no more."""
@@ -70,7 +70,8 @@ def scene_bars(runs: pa.Table, total: int, stages: Sequence[str]) -> Picture | N
             color = SERIES[index % len(SERIES)].light
             drawn = axes.barh(np.arange(len(order)), width, left=left, height=0.66, color=color, label=stage)
             for scene, seconds_of, patch in zip(order, width, drawn, strict=True):
-                told(patch, f"{scene}, {stage}: {seconds_of:.1f} s of {totals[scene]:.1f} s")
+                if seconds_of:
+                    name_mark(patch, f"{scene}, {stage}: {seconds_of:.1f} s of {totals[scene]:.1f} s")
             left += width
     category_axis(axes, order)
     axes.set_xlabel("seconds")
@@ -135,7 +136,7 @@ def _blocks(axes: Any, rows: Rows, lanes: Lanes, shown: Sequence[str], known: Se
         at = np.array([lanes[row["host"]][0] for row in of])
         drawn = axes.barh(at, width, left=left, height=0.76, color=_color(stage, known), linewidth=0, label=stage)
         for row, patch in zip(of, drawn, strict=True):
-            told(patch, f"{stage}, {lanes[row['host']][1]}: {row['ends'] - row['begins']:.2f} s from {_duration(row['begins'])}")
+            name_mark(patch, f"{stage}, {lanes[row['host']][1]}: {row['ends'] - row['begins']:.2f} s from {_duration(row['begins'])}")
     return []
 
 
@@ -161,8 +162,8 @@ def _stacks(axes: Any, rows: Rows, lanes: Lanes, shown: Sequence[str], known: Se
     for worker, (lane, name) in lanes.items():
         busy = sorted((sum(row["share"] for row in rows if row["host"] == worker and row["stage"] == stage), stage) for stage in shown)
         length = rows[0]["ends"] - rows[0]["begins"]
-        said = ", ".join(f"{stage} {_duration(share_of * length)}" for share_of, stage in reversed(busy) if share_of)
-        area(axes, (0.0, 1.0), (lane - 0.5, lane + 0.5), f"{name}: {said}", axes.get_yaxis_transform())
+        text = ", ".join(f"{stage} {_duration(share_of * length)}" for share_of, stage in reversed(busy) if share_of)
+        area(axes, (0.0, 1.0), (lane - 0.5, lane + 0.5), f"{name}: {text}", axes.get_yaxis_transform())
     return [f"height: share at work, a full lane is {full:.0%}", f"{len(bins)} bins of {_duration(end / len(bins))}"]
 
 

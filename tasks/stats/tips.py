@@ -19,7 +19,7 @@ _INSIDE, _ALONG = "tip:", "tip along:"
 """Beginnings of an artist's id in the SVG; the rest is what is said of it."""
 
 
-def told(artist: Artist, text: str, along: bool = False) -> None:
+def name_mark(artist: Artist, text: str, along: bool = False) -> None:
     """Say `text` of a mark: of all that is inside its outline, or `along` its line alone."""
     artist.set_gid((_ALONG if along else _INSIDE) + text)
 
@@ -31,7 +31,7 @@ def area(axes: Axes, x: tuple[float, float], y: tuple[float, float], text: str, 
     patch = Rectangle((x[0], y[0]), x[1] - x[0], y[1] - y[0], facecolor="none", edgecolor="none", zorder=10)
     patch.set_transform(transform or axes.transData)
     patch.set_in_layout(False)
-    told(patch, text)
+    name_mark(patch, text)
     axes.add_artist(patch)
 
 

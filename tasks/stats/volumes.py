@@ -61,11 +61,11 @@ def volume_boxes(boxes: pa.Table, outliers: pa.Table, of: str = "oriented box", 
     )
     volume_axis(axes, [value for entry in stats for value in (entry["whislo"], entry["whishi"], *entry["fliers"])])
     for at, (row, entry) in enumerate(zip(shown, stats, strict=True), start=1):
-        said = (
+        text = (
             f"{row['category']}: median {entry['med']:.3g} m³, half of them {entry['q1']:.3g} to {entry['q3']:.3g} m³, "
             f"{row['objects']} objects, {len(entry['fliers'])} outliers"
         )
-        area(axes, (0.0, 1.0), (at - 0.5, at + 0.5), said, axes.get_yaxis_transform())
+        area(axes, (0.0, 1.0), (at - 0.5, at + 0.5), text, axes.get_yaxis_transform())
     axes.invert_yaxis()
     axes.tick_params(axis="y", labelsize=8, length=0)
     axes.set_xlabel(f"volume of the {of} [m³], logarithmic")

@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from tasks.micro_scenes import charts as micro_scenes
 from tasks.stats import charts, counts, timelines, tips, words
 from tasks.stats.axes import category_axis
-from tasks.stats.inline import inlined
+from tasks.stats.page.inline import inlined
 from tasks.stats.style import Picture, canvas, chart, in_style
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -95,7 +96,11 @@ def test_marks_say_the_numbers_of_their_rows() -> None:
     timing = pa.table({"stage": ["capture"], "median_seconds": [1.5], "p95_seconds": [2.25]})
     runs = pa.table({"scene_id": ["a", "a"], "stage": ["capture", "exports"], "seconds": [1.0, 3.0]})
     many = pa.table({"objects": [3, 4], "scenes": [20, 1]})
+    rooms = pa.table({"category": ["chair", "chair", "lamp"], "room_type": ["office", "bedroom", "office"], "objects": [3, 1, 2]})
+    small = pa.table({"category": ["mug"], "room_type": ["office"], "large_category": ["desk"], "objects": [2]})
     said = {
+        counts.room_map(rooms): ["chair, office: 3, 75%", "chair, bedroom: 1, 25%", "lamp, office: 2, 100%"],
+        micro_scenes.room_type_map(small): ["mug, office: 100%"],
         charts.navigable_bars(floors): ["b: 25% of the floor", "a: 50% of the floor"],
         charts.candidate_bars(wins): ["slot 1, p: 3 ranked first of 4 filled", "slot 2, q: 0 ranked first of 2 filled"],
         timelines.stage_bars(timing, ("capture",)): ["capture: median 1.50 s, 95th percentile 2.25 s"],

@@ -9,10 +9,10 @@ import pyarrow as pa
 
 from tasks.films.drives import DriveStill
 from tasks.films.walks import WalkStrip
-from tasks.stats.cards import anchor_of, data_address, scene_card, scene_table
 from tasks.stats.columns import report_grids
 from tasks.stats.grids import Grid, as_count, as_number, as_text
-from tasks.stats.inline import inlined
+from tasks.stats.page.cards import anchor_of, data_address, scene_card, scene_table
+from tasks.stats.page.inline import inlined
 from tasks.stats.scenes import ScenePictures
 from tasks.stats.style import GRID, INK, MUTED, PAPER, SERIES, Picture
 from tasks.stats.thumbnails import OBJECT_PX, SCENE_PX, CandidateStrip, CandidateTile, SceneTile
@@ -64,7 +64,7 @@ def render_report(content: ReportContent) -> str:
     from markupsafe import Markup
 
     def read(name: str) -> str:
-        return (resources.files("tasks.stats") / name).read_text(encoding="utf-8")
+        return (resources.files("tasks.stats.page") / name).read_text(encoding="utf-8")
 
     environment = Environment(loader=FunctionLoader(read), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     grids = report_grids(content.answers, content.totals, content.stages)

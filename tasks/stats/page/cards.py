@@ -11,7 +11,7 @@ from typing import Any
 import pyarrow as pa
 
 from tasks.stats.grids import OBJECT_LIMIT, Cell, Format, Grid, as_box, as_count, as_number, as_percent, as_share, as_text, grid
-from tasks.stats.inline import inlined
+from tasks.stats.page.inline import inlined
 from tasks.stats.scenes import ScenePictures
 from tasks.stats.style import Picture
 
