@@ -157,6 +157,9 @@ def test_everything_is_there_without_a_network_and_can_be_read(
     page.evaluate("document.querySelectorAll('details').forEach(details => { details.open = true })")
     assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
     assert page.evaluate(OUTSIDE, viewport["width"]) == []
+    captions = page.locator("caption span").evaluate_all("spans => spans.map(span => span.getBoundingClientRect().right)")
+    assert captions
+    assert max(captions) <= viewport["width"], "a table that is wider than the page has a caption that is not"
     found = page.evaluate(CONTRAST)
     assert found["count"] > 300
     assert found["poor"] == []
