@@ -316,7 +316,7 @@ OWN = {
     "tasks/optimization/engines/newton_engine.py": "what a child process of ours wrote",
     "tasks/optimization/engines/newton_script.py": "what its parent wrote",
     "tasks/scanner/folder.py": "the scan that is written",
-    "tasks/stats/report.py": "the template of the package",
+    "tasks/stats/page/report.py": "the template of the package",
     "warehouse/questions/macros.py": "SQL of the package",
     "warehouse/release/__init__.py": "the release that is written",
     "warehouse/release/tables.py": "the release that is written",

@@ -99,12 +99,13 @@ def show(name: str, address: str, as_json: bool) -> None:
     Example: metascenes release show v1 --lake ./lake
     """
     from warehouse.release import release_of
+    from warehouse.release.hub import without_head
     from warehouse.tables.released import RECORD, folder_of
 
     lake = existing_lake(address)
     release_of(lake, name)
     data = lake.storage.read(f"{folder_of(name)}/{RECORD if as_json else 'README.md'}").decode()
-    print(json.dumps(json.loads(data)) if as_json else data, end="\n" if as_json else "")
+    print(json.dumps(json.loads(data)) if as_json else without_head(data), end="\n" if as_json else "")
 
 
 @command.command("diff")

@@ -11,7 +11,9 @@ import dataclasses
 import hashlib
 import json
 import pkgutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -20,6 +22,7 @@ from typing import Any, TypeVar
 import pyarrow as pa
 
 from flows.run.fingerprints import PICTURES, FileCache, cache_folder, code_fingerprint, digest
+from tasks.films.drives import DriveStill
 from tasks.films.walks import WalkStrip
 from tasks.stats.scenes import ScenePictures
 from tasks.stats.style import Picture
@@ -30,11 +33,32 @@ T = TypeVar("T")
 MOST_FILES = 2000
 """Pictures that are kept: a few hundred MB. The oldest go."""
 
-KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (ScenePictures, Picture, CandidateStrip, CandidateTile, WalkStrip)}
+KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (ScenePictures, Picture, CandidateStrip, CandidateTile, WalkStrip, DriveStill)}
+
+
+class NotDrawnYet(Exception):
+    """A picture would have to be drawn where none may be."""
+
+
+_DRAWS: ContextVar[bool] = ContextVar("draws", default=True)
+
+
+@contextmanager
+def only_remembered() -> Iterator[None]:
+    """What was not drawn before raises `NotDrawnYet` in this context, so that workers are started only for what must be drawn."""
+    before = _DRAWS.set(False)
+    try:
+        yield
+    finally:
+        _DRAWS.reset(before)
 
 
 def remembered(facts: Sequence[Any], draw: Callable[[], T]) -> T:
-    """The result of `draw`, cached by the `facts` that it depends on (tables, rows, numbers, configs)."""
+    """The result of `draw`, cached by the `facts` that it depends on (tables, rows, numbers, configs).
+
+    Raises:
+        NotDrawnYet: it is not cached, and nothing may be drawn (`only_remembered`).
+    """
     store = _cache()
     key = digest(*map(_text, facts))
     try:
@@ -42,6 +66,8 @@ def remembered(facts: Sequence[Any], draw: Callable[[], T]) -> T:
         return picture
     except (KeyError, ValueError, TypeError):  # not there, or not whole
         pass
+    if not _DRAWS.get():
+        raise NotDrawnYet
     made = draw()
     store[key] = json.dumps(_plain(made)).encode()
     return made
@@ -72,7 +98,10 @@ def _code() -> str:
     import tasks.stats
 
     drawing = [f"tasks.stats.{module.name}" for module in pkgutil.iter_modules(tasks.stats.__path__)]
-    own = [code_fingerprint(name) for name in (*drawing, "tasks.films.frames", "flows.outputs.films")]
+    own = [
+        code_fingerprint(name)
+        for name in (*drawing, "tasks.films.frames", "tasks.films.drives", "flows.outputs.films", "flows.outputs.drives")
+    ]
     callers = [hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(Path(__file__).parent.glob("*.py"))]
     return digest(*own, *callers, *(version(name) for name in ("matplotlib", "pillow", "numpy", "embreex", "wordcloud")))
 

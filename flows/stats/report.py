@@ -73,7 +73,7 @@ def write_report(
     Raises:
         InputError: there is no such snapshot.
     """
-    from tasks.stats.report import Query, ReportContent, render_report
+    from tasks.stats.page.report import Query, ReportContent, render_report
     from tasks.stats.scenes import PictureConfig
 
     look = look or PictureConfig()

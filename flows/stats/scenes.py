@@ -11,6 +11,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from tasks.films.drives import DriveStill
     from tasks.films.walks import WalkStrip
     from tasks.stats.scenes import PictureConfig, RoomOutline, ScenePictures
+    from tasks.stats.style import Picture
     from tasks.stats.thumbnails import CandidateStrip, CandidateTile
     from warehouse.lake import Lake
     from warehouse.tables.snapshot import Reader
@@ -77,8 +79,9 @@ def _pictures(lake: Lake, reader: Reader, scene_id: str, look: PictureConfig) ->
     objects, placements = model.objects, model.placements
     camera = best_corner(list(objects.values()) or [[part] for part in model.scan], model.walls, model.outline, look)
     pictures = picture_scene(model.scan, model.walls, list(objects.values()), model.outline, look, camera)
-    plan = _plan(lake, reader, scene_id, objects, model.room) if model.room and placements else None
-    pictures = dataclasses.replace(pictures, plan=plan, heat=_heat(lake, reader, scene_id, model.room))
+    with only_vectors():
+        plan = _plan(lake, reader, scene_id, objects, model.room) if model.room and placements else None
+        pictures = dataclasses.replace(pictures, plan=plan, heat=_heat(lake, reader, scene_id, model.room))
     if not placements or placements[0].method == "imported":  # a finished dataset states one pose: there is no before
         return pictures
     contacts = reader.rows(Contact, scene_id)
@@ -117,9 +120,19 @@ def strip_of(lake: Lake, rows: Sequence[Mapping[str, Any]]) -> CandidateStrip:
 
     `rows` are those of the query `instances.gallery` of one object. A candidate that cannot be pictured says so.
     """
-    from flows.stats.pictures import remembered
+    from tasks.stats.thumbnails import CandidateStrip
 
-    return remembered(["strip", rows], lambda: _strip(lake, rows))
+    first, chosen = rows[0], _chosen(rows)
+    # all as they would stand beside the chosen one, whose front is seen
+    ahead = next((_heading(row).T for row in rows if row["slot"] == chosen), np.eye(3))
+    return CandidateStrip(
+        scene_id=first["scene_id"],
+        instance_id=first["instance_id"],
+        category=first["category"],
+        crop=_crop(lake, first),
+        origin=first["origin"] or "",
+        tiles=tuple(_tile(lake, row, chosen, ahead @ _heading(row)) for row in rows),
+    )
 
 
 def walk_strip_of(lake: Lake, snapshot_id: int, row: Mapping[str, Any]) -> WalkStrip:
@@ -186,30 +199,38 @@ def _drive_still(lake: Lake, reader: Reader, row: Mapping[str, Any]) -> DriveSti
     return DriveStill(*names, filmed.ending, picture)
 
 
-def _strip(lake: Lake, rows: Sequence[Mapping[str, Any]]) -> CandidateStrip:
-    from tasks.stats.thumbnails import CandidateStrip
-
-    first, chosen = rows[0], _chosen(rows)
-    # all as they would stand beside the chosen one, whose front is seen
-    ahead = next((_heading(row).T for row in rows if row["slot"] == chosen), np.eye(3))
-    return CandidateStrip(
-        scene_id=first["scene_id"],
-        instance_id=first["instance_id"],
-        category=first["category"],
-        crop=_crop(lake, first),
-        origin=first["origin"] or "",
-        tiles=tuple(_tile(lake, row, chosen, ahead @ _heading(row)) for row in rows),
-    )
-
-
 def carried_out(jobs: Mapping[Any, Job], workers: int | None, advance: Callable[[str], None]) -> dict[Any, Any]:
-    """The result of each job by its key; of one that failed the reason, a text. One worker means this process."""
-    count = workers or min(os.cpu_count() or 1, 4)
-    if min(count, len(jobs)) <= 1:
+    """The result of each job by its key; of one that failed the reason, a text. One worker means this process.
+
+    What is remembered is looked up here: no worker is started for it.
+    """
+    made = {key: known for key, job in jobs.items() if (known := _remembered(job)) is not None}
+    for key in made:
+        advance(str(key))
+    left = {key: job for key, job in jobs.items() if key not in made}
+    made |= _drawn(left, min(workers or min(os.cpu_count() or 1, 4), len(left)), advance)
+    return {key: made[key] for key in jobs}
+
+
+def _remembered(job: Job) -> Any:
+    """The result of a job of which all is remembered, else None."""
+    from flows.stats.pictures import NotDrawnYet, only_remembered
+
+    function, arguments = job
+    try:
+        with only_remembered():
+            return function(*arguments)
+    except (*_UNREADABLE, NotDrawnYet):  # a worker tries again, and says why
+        return None
+
+
+def _drawn(jobs: Mapping[Any, Job], count: int, advance: Callable[[str], None]) -> dict[Any, Any]:
+    """The result of each job, or the reason why there is none, by `count` workers."""
+    if count <= 1:
         return {key: _result_or_reason(_call_here, key, job, advance) for key, job in jobs.items()}
     from flows.run.pool import WorkerPool
 
-    with WorkerPool(min(count, len(jobs))) as pool, ThreadPoolExecutor(count) as threads:
+    with WorkerPool(count) as pool, ThreadPoolExecutor(count) as threads:
         made = threads.map(lambda entry: _result_or_reason(pool.call, entry[0], entry[1], advance), jobs.items())
         return dict(zip(jobs, made, strict=True))
 
@@ -253,7 +274,7 @@ class _Model:
         return _Model(scan, shells[0] if shells else None, placements, blobs, objects, shell, outline)
 
 
-def _plan(lake: Lake, reader: Reader, scene_id: str, objects: Mapping[str, Sequence[trimesh.Trimesh]], room: Shell) -> bytes | None:
+def _plan(lake: Lake, reader: Reader, scene_id: str, objects: Mapping[str, Sequence[trimesh.Trimesh]], room: Shell) -> Picture | None:
     """The floor plan of a scene for the agent with the most episodes; None without a navmesh."""
     from tasks.stats.plans import floor_plan
 
@@ -264,10 +285,10 @@ def _plan(lake: Lake, reader: Reader, scene_id: str, objects: Mapping[str, Seque
         return None
     names = {row.instance_id: f"{row.category} {row.instance_id}" for row in reader.rows(Instance, scene_id)}
     own = [episode for episode in episodes if episode.agent == navmesh.agent]
-    return floor_plan(lake.blobs[navmesh.navmesh_blob], own, objects, names, room)
+    return floor_plan(lake.blobs[navmesh.navmesh_blob], own, objects, names, room, scene_id)
 
 
-def _heat(lake: Lake, reader: Reader, scene_id: str, room: Shell | None) -> bytes | None:
+def _heat(lake: Lake, reader: Reader, scene_id: str, room: Shell | None) -> Picture | None:
     """The heat map of a scene; None where its fidelity was not measured."""
     from tasks.fidelity.marked_points import read_marked
     from tasks.stats.heat_maps import heat_map
@@ -275,11 +296,12 @@ def _heat(lake: Lake, reader: Reader, scene_id: str, room: Shell | None) -> byte
     rows = reader.rows(SceneFidelity, scene_id)
     if not rows:
         return None
-    return heat_map(read_marked(lake.blobs[rows[0].distances_blob], f"{scene_id} distances.ply"), room)
+    return heat_map(read_marked(lake.blobs[rows[0].distances_blob], f"{scene_id} distances.ply"), room, scene_id)
 
 
 def _crop(lake: Lake, row: Mapping[str, Any]) -> bytes | None:
     """How the scan shows an object: its best view, else its faces of the scan; None where there is neither."""
+    from flows.stats.pictures import remembered
     from tasks.geometry.meshes import load_glb
     from tasks.stats.thumbnails import OBJECT_PX, fitted, object_thumbnail
 
@@ -289,11 +311,15 @@ def _crop(lake: Lake, row: Mapping[str, Any]) -> bytes | None:
     ):
         if name is not None:
             try:
-                made: bytes = drawn(lake.blobs[name])
+                made: bytes = remembered(["crop", name], partial(_of_blob, lake, name, drawn))
                 return made
             except _UNREADABLE:
                 continue
     return None
+
+
+def _of_blob(lake: Lake, name: str, drawn: Callable[[bytes], bytes]) -> bytes:
+    return drawn(lake.blobs[name])
 
 
 def _chosen(rows: Iterable[Mapping[str, Any]]) -> int | None:
@@ -310,13 +336,18 @@ def _heading(row: Mapping[str, Any]) -> NDArray[np.float64]:
 
 
 def _tile(lake: Lake, row: Mapping[str, Any], chosen: int | None, turn: NDArray[np.float64]) -> CandidateTile:
+    from flows.stats.pictures import remembered
     from tasks.geometry.meshes import load_glb
     from tasks.stats.thumbnails import CandidateTile, object_thumbnail
 
     note, picture = row["reason"] or "", None
     if row["asset_blob"] is not None:
-        try:
-            picture = object_thumbnail(load_glb(lake.blobs[row["asset_blob"]], row["asset_name"]), row["scale"] or (1.0, 1.0, 1.0), turn)
+        blob, scale = row["asset_blob"], row["scale"] or (1.0, 1.0, 1.0)
+        try:  # by content: the same asset, as large and turned alike, looks the same in every scene and beside any others
+            picture = remembered(
+                ["tile", blob, scale, turn.tolist()],
+                lambda: object_thumbnail(load_glb(lake.blobs[blob], row["asset_name"]), scale, turn),
+            )
         except _UNREADABLE as error:
             note = _reason(error)
     return CandidateTile(

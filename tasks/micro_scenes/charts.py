@@ -12,6 +12,7 @@ import pyarrow as pa
 from tasks.stats.axes import heat_cells
 from tasks.stats.counts import CATEGORY_LIMIT, thousands
 from tasks.stats.style import GRID, INK, MUTED, WIDTH_INCHES, Picture, canvas, chart, in_style, panels, picture
+from tasks.stats.tips import name_mark
 from tasks.synthesis.layout import Large, Layout
 from tasks.synthesis.pictures import color_of, footprint
 
@@ -175,7 +176,9 @@ def _draw(axes: Any, layout: Layout) -> None:
     tops = layout.centers[:, 2] + 0.5 * layout.sizes[:, 2]
     for at in np.argsort(tops, kind="stable").tolist():
         name = layout.categories[at]
-        axes.add_patch(Polygon(_turned(footprint(layout, at)), facecolor=_tinted(name), edgecolor=_solid(name), linewidth=1.0))
+        box = Polygon(_turned(footprint(layout, at)), facecolor=_tinted(name), edgecolor=_solid(name), linewidth=1.0)
+        name_mark(box, f"{_words(name)}, {' x '.join(f'{extent:.2f}' for extent in layout.sizes[at])} m")
+        axes.add_patch(box)
 
 
 def _turned(points: Any) -> Any:

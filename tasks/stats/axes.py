@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tasks.stats.style import INK, PAPER, SERIES
+from tasks.stats.tips import area, lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,13 +21,14 @@ def whole_numbers(axes: Axes) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def bars(axes: Axes, labels: Sequence[str], values: Any, color: str, number: str) -> None:
-    """Horizontal bars from top to bottom, each with its number."""
+def bars(axes: Axes, labels: Sequence[str], values: Any, color: str, number: str, noun: str = "") -> None:
+    """Horizontal bars from top to bottom, each with its number, and of what it is so many in its tip."""
     axes.barh(np.arange(len(labels)), values, height=0.66, color=color)
     for at, value in enumerate(values):
         label = axes.annotate(number.format(value), (value, at), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
         label.set_bbox({"facecolor": PAPER.light, "edgecolor": "none", "pad": 0.8})
     category_axis(axes, labels)
+    lines(axes, [f"{label}: {number.format(value)} {noun}".rstrip() for label, value in zip(labels, values, strict=True)])
     axes.margins(x=0.1)
 
 
@@ -37,10 +39,10 @@ def category_axis(axes: Axes, labels: Sequence[str]) -> None:
     axes.set_ylim(len(labels) - 0.4, -0.6)
 
 
-def heat_cells(axes: Axes, lines: Sequence[str], columns: Sequence[str], share: Any, texts: Sequence[Sequence[str]]) -> None:
-    """Cells of a heat map: `lines` from top to bottom, `columns` from left to right.
+def heat_cells(axes: Axes, names: Sequence[str], columns: Sequence[str], share: Any, texts: Sequence[Sequence[str]]) -> None:
+    """Cells of a heat map: `names` from top to bottom, `columns` from left to right.
 
-    share: How strong each cell's color is beside the strongest, shape (lines, columns). texts: What stands in each cell; one without a
+    share: How strong each cell's color is beside the strongest, shape (names, columns). texts: What stands in each cell; one without a
     text has no color either.
     """
     for line, row in enumerate(texts):
@@ -49,13 +51,20 @@ def heat_cells(axes: Axes, lines: Sequence[str], columns: Sequence[str], share: 
                 strength = 0.06 + 0.42 * share[line, column] / share.max()  # the text on it stays legible on light and on dark ground
                 axes.barh(line, 1.0, left=column - 0.5, height=1.0, color=SERIES[0].light, alpha=strength, linewidth=0)
                 axes.text(column, line, text, ha="center", va="center", fontsize=6.5, color=INK.light)
-    category_axis(axes, [short(name, 22) for name in lines])
+                what = f"{names[line]}, {columns[column]}: {text}" + ("" if text.endswith("%") else f", {share[line, column]:.0%}")
+                area(axes, (column - 0.5, column + 0.5), (line - 0.5, line + 0.5), what)
+    category_axis(axes, [short(name, 22) for name in names])
     axes.tick_params(axis="y", labelsize=8)
-    axes.set_ylim(len(lines) - 0.5, -0.5)
+    axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlim(-0.5, len(columns) - 0.5)
     few = len(columns) <= 3
-    names = [short(name, 16) for name in columns]
-    axes.set_xticks(np.arange(len(columns)), names, rotation=0 if few else 35, ha="center" if few else "right", rotation_mode="anchor")
+    axes.set_xticks(
+        np.arange(len(columns)),
+        [short(name, 16) for name in columns],
+        rotation=0 if few else 35,
+        ha="center" if few else "right",
+        rotation_mode="anchor",
+    )
     axes.tick_params(axis="x", labelsize=8)
     axes.tick_params(axis="x", length=0)
     axes.grid(visible=False)

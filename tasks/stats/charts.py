@@ -8,6 +8,7 @@ import pyarrow as pa
 from tasks.stats.axes import bars, category_axis, whole_numbers
 from tasks.stats.counts import SCENE_LIMIT
 from tasks.stats.style import MUTED, SERIES, Picture, canvas, chart, in_style
+from tasks.stats.tips import lines
 
 _ORANGE, _GREEN, _GRAY = (SERIES[i].light for i in (1, 2, 8))
 
@@ -27,6 +28,7 @@ def candidate_bars(wins: pa.Table) -> Picture | None:
     for at, (count, of) in enumerate(zip(won, filled, strict=True)):
         axes.annotate(f"{count:.0f} of {of:.0f}", (of, at), xytext=(5, 0), textcoords="offset points", va="center", fontsize=8)
     category_axis(axes, labels)
+    lines(axes, [f"slot {r['slot']}, {r['provider']}: {r['wins']} ranked first of {r['filled']} filled" for r in rows])
     axes.margins(x=0.16)
     axes.set_xlabel("candidates, by slot and provider")
     title = "Which candidates win"
@@ -52,6 +54,7 @@ def deep_pair_counts(losses: pa.Table) -> Picture | None:
     axes.plot(before, y, linestyle="none", marker="o", markersize=7, color=_ORANGE, label="proposed", zorder=3)
     axes.plot(after, y, linestyle="none", marker="o", markersize=5, color=_GREEN, label="optimized", zorder=3)
     category_axis(axes, [row["scene_id"] for row in order])
+    lines(axes, [f"{r['scene_id']}: {r['deep_pairs_before']} pairs as proposed, {r['deep_pairs_after']} optimized" for r in order])
     axes.margins(x=0.06)
     whole_numbers(axes)
     axes.set_xlabel("pairs that penetrate deeper than 2 mm")
@@ -80,6 +83,14 @@ def stability_bars(rows: pa.Table) -> Picture | None:
         text = f"{row['stable_1cm']}, {row['stable_5cm']} of {row['free']}"
         axes.annotate(text, (max(five[at], within_1cm[at]), at), xytext=(5, 0), textcoords="offset points", va="center", fontsize=8)
     category_axis(axes, [f"{row['scene_id']} {row['engine']}" if several else row["scene_id"] for row in order])
+    lines(
+        axes,
+        [
+            f"{r['scene_id']}, {r['engine']}: {r['stable_1cm']} within 1 cm, {r['stable_5cm']} within 5 cm, of {r['free']} free objects; "
+            f"{r['fixed']} fixed"
+            for r in order
+        ],
+    )
     axes.set_xlim(0, 128)  # room for the numbers
     axes.set_xticks(range(0, 101, 20))
     axes.set_xlabel("free objects that stay within a limit [%]")
@@ -104,7 +115,7 @@ def navigable_bars(floors: pa.Table) -> Picture | None:
     agents = {row["agent"] for row in order}
     labels = [row["scene_id"] if len(agents) == 1 else f"{row['scene_id']} {row['agent']}" for row in order]
     axes = canvas(1.0 + 0.26 * len(order))
-    bars(axes, labels, share, SERIES[5].light, "{:.0f}%")
+    bars(axes, labels, share, SERIES[5].light, "{:.0f}%", "of the floor")
     axes.set_xlabel("navigable share of the floor [%]")
     title = "Navigable floor"
     alt = f"Navigable share of the floor in {len(order)} scenes: {share.min():.0f}% to {share.max():.0f}%."

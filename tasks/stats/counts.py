@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pyarrow as pa
 
 from tasks.stats.axes import bars, category_axis, heat_cells, integer_bins, short
 from tasks.stats.style import GRID, INK, MUTED, SERIES, Picture, canvas, chart, in_style, panels, picture
+from tasks.stats.tips import columns as tell_columns
+from tasks.stats.tips import lines
 
 SCENE_LIMIT = 20
 """Scenes with a bar of their own; of more, a histogram is drawn, or those that matter most."""
@@ -47,18 +50,28 @@ def per_scene(histogram: pa.Table, scenes: pa.Table, column: str, noun: str) -> 
     name = f"{column}_per_scene"
     if count <= SCENE_LIMIT:
         axes = canvas(0.9 + 0.24 * count)
-        bars(axes, scenes["scene_id"].to_pylist(), np.asarray(scenes[column].to_pylist(), dtype=np.int64), _BLUE, "{:.0f}")
+        bars(axes, scenes["scene_id"].to_pylist(), np.asarray(scenes[column].to_pylist(), dtype=np.int64), _BLUE, "{:.0f}", noun)
         axes.axvline(median, color=_ORANGE, linewidth=1.2, linestyle="--", zorder=0.9)
         axes.set_xlabel(f"{noun}; dashed: median {median:g}")
     else:
         axes = canvas(2.8)
-        axes.hist(values, bins=integer_bins(values), weights=times, color=_BLUE, edgecolor=_BLUE, linewidth=0.4, alpha=0.85)
+        edges = integer_bins(values)
+        heights, _ = np.histogram(values, bins=edges, weights=times)
+        spans = list(itertools.pairwise(edges.tolist()))
+        tell_columns(axes, [_bin(span, height, noun) for span, height in zip(spans, heights, strict=True)], spans)
+        axes.hist(values, bins=edges, weights=times, color=_BLUE, edgecolor=_BLUE, linewidth=0.4, alpha=0.85)
         axes.axvline(median, color=_ORANGE, linewidth=1.4, linestyle="--")
         axes.grid(visible=False, axis="x")
         axes.grid(visible=True, axis="y", color=GRID.light, linewidth=0.7)
         axes.set_xlabel(f"{noun} in the scene; dashed: median {median:g}")
         axes.set_ylabel("scenes")
     return chart(axes, name, title, alt)
+
+
+def _bin(span: tuple[float, float], scenes: float, noun: str) -> str:
+    """A bar of a histogram in words; its edges are half integers."""
+    low, high = round(span[0] + 0.5), round(span[1] - 0.5)
+    return f"{low if low == high else f'{low} to {high}'} {noun}: {scenes:.0f} scene{'' if scenes == 1 else 's'}"
 
 
 def weighted_median(values: Any, times: Any) -> float:
@@ -84,6 +97,7 @@ def category_bars(counts: pa.Table, total: int) -> Picture | None:
     axes.barh(y, objects, height=0.7, color=_BLUE, alpha=0.85, label="objects")
     axes.plot(scenes, y, linestyle="none", marker="|", markersize=7, markeredgewidth=1.8, color=_ORANGE, label="scenes with one")
     category_axis(axes, [f"{row['category']} ({thousands(row['objects'])})" for row in rows])
+    lines(axes, [f"{row['category']}: {row['objects']} objects in {row['scenes']} scenes" for row in rows])
     axes.tick_params(axis="y", labelsize=8)
     axes.set_xlim(0, 1.04 * objects.max())
     _short_numbers(axes, "x", integer=True)
@@ -144,6 +158,8 @@ def growth(rows: pa.Table) -> Picture | None:
     for axes, column in zip(grid, GROWING, strict=True):
         values = np.array([row[column] for row in releases])
         axes.bar(x, values, width=0.72, color=_BLUE, alpha=0.85)
+        texts = [f"{row['name']}: {row[column]} {column}" for row in releases]
+        tell_columns(axes, texts, [(at - 0.5, at + 0.5) for at in range(len(releases))])
         axes.annotate(
             thousands(int(values[-1])),
             (x[-1], values[-1]),

@@ -19,10 +19,14 @@ OBJECT_LIMIT = 200
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """A cell as text; numbers are set to the right."""
+    """A cell as text; numbers are set to the right.
+
+    raw: What it is sorted by and what a CSV file says, where that is not the text: a number in full, a column's name in the view.
+    """
 
     text: str
     is_number: bool
+    raw: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,13 +140,22 @@ def grid(
     shown = rows.slice(0, limit).select([name for name, _, _ in columns]).to_pylist()
     cells = tuple(
         tuple(
-            Cell("\u2013" if row[name] is None else form(row[name]), is_number)
+            Cell("\u2013" if row[name] is None else form(row[name]), is_number, raw(row[name], is_number))
             for (name, _, form), is_number in zip(columns, numeric, strict=True)
         )
         for row in shown
     )
-    headers = tuple(Cell(header, is_number) for (_, header, _), is_number in zip(columns, numeric, strict=True))
+    headers = tuple(Cell(header, is_number, name) for (name, header, _), is_number in zip(columns, numeric, strict=True))
     return Grid(caption, view, headers, cells, max(total or 0, rows.num_rows))
+
+
+def raw(value: Any, is_number: bool) -> str | None:
+    """A value as a CSV file says it, where its text says less: numbers in full, several with spaces between, nothing for a missing one."""
+    if value is None:
+        return ""
+    if isinstance(value, list | tuple):
+        return " ".join(map(str, value))
+    return str(value) if is_number else None
 
 
 def place(stage: str, stages: Sequence[str]) -> tuple[int, str]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tasks.fidelity.marked_points import SHELL, MarkedPoints
-from tasks.stats.style import INK, MUTED, PAPER, in_style
+from tasks.stats.style import INK, MUTED, Picture, in_style, picture
+from tasks.stats.tips import area
 
 if TYPE_CHECKING:
     from schemas.capture import Shell
@@ -23,7 +23,16 @@ MOST_CELLS = 400
 FARTHEST_M = 0.2
 """Distances beyond are drawn alike: a hand's length off is another place."""
 
-_INCHES, _DPI = 4.5, 160
+TOLD_M = 0.25
+"""Edge of the squares that say how far off their farthest point is: as small as a finger hits."""
+
+_NEAR_M = 0.05
+"""Squares that are nearer than that say nothing."""
+
+_INCHES = 4.5
+_MOST_SQUARES = 40
+"""Along an edge of the map."""
+
 _MAP_SHARE = 0.72
 """Of the picture's width, beside the bar and the labels."""
 
@@ -32,15 +41,14 @@ _COLORS = "YlOrRd"
 
 
 @in_style
-def heat_map(marked: MarkedPoints, room: Shell | None) -> bytes:
-    """PNG of the floor from above, x to the right, y up: in each cell the scanned point farthest from the replica.
+def heat_map(marked: MarkedPoints, room: Shell | None, scene_id: str) -> Picture:
+    """The floor from above, x to the right, y up: in each cell the scanned point farthest from the replica.
 
     Points of floor, walls and ceiling are left out. The same points give the same bytes.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(_INCHES, _height(marked.points)), dpi=_DPI, layout="constrained", facecolor=PAPER.light)
+    figure = Figure(figsize=(_INCHES, _height(marked.points)), layout="constrained")
     axes = figure.add_subplot()
     axes.grid(visible=False)
     if room is not None and room.floor_polygon:
@@ -53,6 +61,11 @@ def heat_map(marked: MarkedPoints, room: Shell | None) -> bytes:
             np.ma.masked_less(farthest.T, 0.0), origin="lower", extent=(x0, x1, y0, y1), cmap=_COLORS, vmin=0.0, vmax=FARTHEST_M,
             interpolation="nearest", zorder=2,
         )  # fmt: skip
+        for low, high, most in _squares(points[:, :2], distance):
+            text = (
+                f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m: {'over ' if most >= FARTHEST_M else ''}{most:.2f} m"
+            )
+            area(axes, (low[0], high[0]), (low[1], high[1]), text)
         bar = figure.colorbar(image, ax=axes, extend="max")
         bar.set_label("Farthest from the replica [m]")
     else:
@@ -61,9 +74,18 @@ def heat_map(marked: MarkedPoints, room: Shell | None) -> bytes:
     axes.autoscale_view()
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
-    return buffer.getvalue()
+    title = f"Distance of the scan of {scene_id} to its replica"
+    return picture(figure, f"heat_{scene_id}", title, f"{title}, from above")
+
+
+def _squares(points: NDArray[np.float64], distance: NDArray[np.float64]) -> list[tuple[list[float], list[float], float]]:
+    """Squares of the plane with a point that is farther than `_NEAR_M`: corners and the largest distance [m]."""
+    size = TOLD_M * max(1.0, np.ceil(float(np.ptp(points, axis=0).max()) / (TOLD_M * _MOST_SQUARES)))
+    far = distance > _NEAR_M
+    cells, inverse = np.unique(np.floor(points[far] / size).astype(np.int64), axis=0, return_inverse=True)
+    most = np.zeros(len(cells))
+    np.maximum.at(most, inverse.reshape(-1), distance[far])
+    return [((cell * size).tolist(), ((cell + 1) * size).tolist(), value) for cell, value in zip(cells, most.tolist(), strict=True)]
 
 
 def farthest_of_cells(

@@ -9,12 +9,16 @@ import pyarrow as pa
 
 from tasks.stats.axes import whole_numbers
 from tasks.stats.style import GRID, SERIES, Picture, canvas, chart, in_style
+from tasks.stats.tips import columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _CURVE_POINTS = 400
 """Steps that a loss curve of a phone's width can tell apart."""
+
+_MOST_TIPS = 40
+"""Falls of the smallest loss that can be pointed at, evenly spread."""
 
 _BLUE, _ORANGE = SERIES[0].light, SERIES[1].light
 
@@ -42,6 +46,10 @@ def loss_curve(steps: pa.Table, method: str, scene_id: str) -> Picture | None:
     falls = np.flatnonzero(np.diff(smallest, prepend=np.inf) < 0)
     ends = np.append(falls, len(rows) - 1)
     axes.plot(step[ends], smallest[ends], color=_BLUE, linewidth=1.8, drawstyle="steps-post", label="smallest so far")
+    marks = falls[np.unique(np.linspace(0, len(falls) - 1, min(len(falls), _MOST_TIPS)).astype(np.int64))]
+    after = np.append(step[marks[1:]], max(step[-1], step[marks[-1]] + 1))
+    texts = [f"from step {step[at]:.0f}: smallest so far {smallest[at]:.3g} {unit}" for at in marks]
+    columns(axes, texts, list(zip(step[marks].tolist(), after.tolist(), strict=True)))
     _loss_axis(axes, np.concatenate([loss, smallest]))
     axes.grid(visible=False, axis="x")
     axes.grid(visible=True, axis="y", color=GRID.light, linewidth=0.7)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import trimesh
 
     from schemas.capture import Shell
+    from tasks.stats.style import Picture
 
 
 def floor_plan(
@@ -21,8 +22,9 @@ def floor_plan(
     objects: Mapping[str, Sequence[trimesh.Trimesh]],
     names: Mapping[str, str],
     room: Shell,
-) -> bytes:
-    """PNG of a scene from above: navmesh, footprints of what blocks its agent, interior walls, paths.
+    scene_id: str,
+) -> Picture:
+    """A scene from above: navmesh, footprints of what blocks its agent, interior walls, paths.
 
     Args:
         navmesh: A .navmesh file.
@@ -44,4 +46,6 @@ def floor_plan(
     climb, height = (file.settings.agent_max_climb, file.settings.agent_height) if file.settings else (0.0, np.inf)
     prints = {names[instance]: footprint(surface_of(parts), climb, height) for instance, parts in sorted(objects.items())}
     walls = [shapely.Polygon(corners) for corners in interior_footprints(room)]
-    return draw_plan(PlanarPathFinder.from_navmesh(file).free, prints, episodes, room.floor_polygon, walls=walls)
+    return draw_plan(
+        PlanarPathFinder.from_navmesh(file).free, prints, episodes, room.floor_polygon, walls=walls, name=f"plan_{scene_id}", of=scene_id
+    )

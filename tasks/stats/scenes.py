@@ -48,7 +48,7 @@ class ScenePictures:
     """JPEG files of a scene: its scan and its replica, from a corner and from above.
 
     before, after: the replica as proposed and as optimized, with what collides marked. loss_curve: the optimization's
-    loss over its steps. plan: PNG of the floor with the navmesh and the paths on it. heat: PNG of distances from the scan to
+    loss over its steps. plan: The floor with the navmesh and the paths on it. heat: Distances from the scan to
     the replica, from above. Missing where there is nothing to show.
     """
 
@@ -59,8 +59,8 @@ class ScenePictures:
     before: bytes | None = None
     after: bytes | None = None
     loss_curve: Picture | None = None
-    plan: bytes | None = None
-    heat: bytes | None = None
+    plan: Picture | None = None
+    heat: Picture | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
+from tasks.stats.tips import titled
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -146,7 +148,7 @@ def picture(figure: Figure, name: str, title: str, alt: str) -> Picture:
         vector = io.StringIO()
         _arrange(figure)
         figure.savefig(vector, format="svg", transparent=True, metadata={"Date": None, "Creator": None, "Title": title})
-        return Picture(name, title, alt, themed(vector.getvalue()), raster_of(raster))
+        return Picture(name, title, alt, themed(titled(vector.getvalue())), raster_of(raster))
 
 
 def _arrange(figure: Figure) -> None:

@@ -11,6 +11,7 @@ import pyarrow as pa
 from tasks.stats.axes import category_axis
 from tasks.stats.counts import SCENE_LIMIT
 from tasks.stats.style import MUTED, SERIES, Picture, canvas, chart, in_style
+from tasks.stats.tips import area, lines, name_mark
 
 LANE_LIMIT = 24
 """Workers with a lane of their own, the busiest; a phone has place for no more."""
@@ -38,6 +39,7 @@ def stage_bars(timing: pa.Table, stages: Sequence[str]) -> Picture | None:
     for at, (low, high) in enumerate(zip(median, p95, strict=True)):
         axes.annotate(f"{low:.2f} s", (max(low, high), at), xytext=(6, 0), textcoords="offset points", va="center", fontsize=8)
     category_axis(axes, order)
+    lines(axes, [f"{stage}: median {low:.2f} s, 95th percentile {high:.2f} s" for stage, low, high in zip(order, median, p95, strict=True)])
     axes.margins(x=0.14)
     axes.set_xlim(left=0)
     axes.set_xlabel("seconds per run: median (bar), 95th percentile (mark)")
@@ -65,7 +67,11 @@ def scene_bars(runs: pa.Table, total: int, stages: Sequence[str]) -> Picture | N
     for index, stage in enumerate(stages):
         width = np.array([seconds[scene].get(stage, 0.0) for scene in order])
         if width.any():
-            axes.barh(np.arange(len(order)), width, left=left, height=0.66, color=SERIES[index % len(SERIES)].light, label=stage)
+            color = SERIES[index % len(SERIES)].light
+            drawn = axes.barh(np.arange(len(order)), width, left=left, height=0.66, color=color, label=stage)
+            for scene, seconds_of, patch in zip(order, width, drawn, strict=True):
+                if seconds_of:
+                    name_mark(patch, f"{scene}, {stage}: {seconds_of:.1f} s of {totals[scene]:.1f} s")
             left += width
     category_axis(axes, order)
     axes.set_xlabel("seconds")
@@ -128,7 +134,9 @@ def _blocks(axes: Any, rows: Rows, lanes: Lanes, shown: Sequence[str], known: Se
         left = np.array([row["begins"] for row in of])
         width = np.maximum(np.array([row["ends"] for row in of]) - left, end / 900)  # shorter ones would not be seen
         at = np.array([lanes[row["host"]][0] for row in of])
-        axes.barh(at, width, left=left, height=0.76, color=_color(stage, known), linewidth=0, label=stage)
+        drawn = axes.barh(at, width, left=left, height=0.76, color=_color(stage, known), linewidth=0, label=stage)
+        for row, patch in zip(of, drawn, strict=True):
+            name_mark(patch, f"{stage}, {lanes[row['host']][1]}: {row['ends'] - row['begins']:.2f} s from {_duration(row['begins'])}")
     return []
 
 
@@ -151,6 +159,11 @@ def _stacks(axes: Any, rows: Rows, lanes: Lanes, shown: Sequence[str], known: Se
                 middle, foot - 0.8 * low[lane], foot - 0.8 * tops[lane, index], color=_color(stage, known), linewidth=0,
                 label=stage if lane == 0 else None,
             )  # fmt: skip
+    for worker, (lane, name) in lanes.items():
+        busy = sorted((sum(row["share"] for row in rows if row["host"] == worker and row["stage"] == stage), stage) for stage in shown)
+        length = rows[0]["ends"] - rows[0]["begins"]
+        text = ", ".join(f"{stage} {_duration(share_of * length)}" for share_of, stage in reversed(busy) if share_of)
+        area(axes, (0.0, 1.0), (lane - 0.5, lane + 0.5), f"{name}: {text}", axes.get_yaxis_transform())
     return [f"height: share at work, a full lane is {full:.0%}", f"{len(bins)} bins of {_duration(end / len(bins))}"]
 
 

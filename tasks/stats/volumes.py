@@ -6,6 +6,7 @@ import pyarrow as pa
 
 from tasks.stats.axes import volume_axis
 from tasks.stats.style import INK, MUTED, SERIES, Picture, canvas, chart, in_style
+from tasks.stats.tips import area
 
 CATEGORY_LIMIT = 50
 """Categories in a box plot (supplementary, Fig. A7)."""
@@ -59,6 +60,12 @@ def volume_boxes(boxes: pa.Table, outliers: pa.Table, of: str = "oriented box", 
         flierprops={"marker": "o", "markersize": 2.2, "markerfacecolor": _ORANGE, "markeredgecolor": _ORANGE},
     )
     volume_axis(axes, [value for entry in stats for value in (entry["whislo"], entry["whishi"], *entry["fliers"])])
+    for at, (row, entry) in enumerate(zip(shown, stats, strict=True), start=1):
+        text = (
+            f"{row['category']}: median {entry['med']:.3g} m³, half of them {entry['q1']:.3g} to {entry['q3']:.3g} m³, "
+            f"{row['objects']} objects, {len(entry['fliers'])} outliers"
+        )
+        area(axes, (0.0, 1.0), (at - 0.5, at + 0.5), text, axes.get_yaxis_transform())
     axes.invert_yaxis()
     axes.tick_params(axis="y", labelsize=8, length=0)
     axes.set_xlabel(f"volume of the {of} [m³], logarithmic")

@@ -31,6 +31,7 @@ def word_cloud(counts: Mapping[str, int]) -> Picture | None:
     # without the font in the file, another monospaced one steps in and is made as wide
     svg = svg.replace("'Droid Sans Mono'", "'Droid Sans Mono',monospace")
     svg = re.sub(r'font-size="(\d+)"([^>]*)>([^<]*)<', _fitted, svg)
+    svg = re.sub(r"<text[^>]*>([^<]*)</text>", lambda match: _counted(match[0], match[1], words), svg)
     svg = svg.replace("<svg ", '<svg viewBox="0 0 900 560" ', 1)
     frequent = sorted(words, key=lambda word: (-words[word], word))[:5]
     alt = f"Word cloud of {len(words)} categories. Most frequent: " + ", ".join(f"{word} ({words[word]})" for word in frequent) + "."
@@ -74,6 +75,12 @@ def _fitted(match: re.Match[str]) -> str:
     """A word of the SVG with its width fixed: Droid Sans Mono's letters are 0.6 em wide."""
     size, rest, word = int(match[1]), match[2], match[3]
     return f'font-size="{size}" textLength="{0.6 * size * len(html.unescape(word)):.1f}" lengthAdjust="spacingAndGlyphs"{rest}>{word}<'
+
+
+def _counted(text: str, word: str, words: Mapping[str, int]) -> str:
+    """A word of the SVG with what it stands for as its title."""
+    count = words[html.unescape(word)]
+    return f'<g class="tip"><title>{word}: {count} object{"" if count == 1 else "s"}</title>{text}</g>'
 
 
 def _color(word: str, random_state: Any = None, **_: Any) -> str:

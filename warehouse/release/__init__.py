@@ -1,8 +1,8 @@
 """Releases: named snapshots that are kept for good, each with a folder that anybody can read.
 
 `releases/<name>/` has the tables as plain Parquet (`<table>.parquet`), `tables.md` (what the columns mean), `README.md`
-(the data card), `ATTRIBUTION.md`, `<name>.duckdb` (views and macros over the tables), `SHA256SUMS` and `release.json`.
-The last one is written last: a folder without it is no release.
+(the data card, with a head for the Hugging Face Hub), `ATTRIBUTION.md`, `croissant.json`, `<name>.duckdb` (views and macros over
+the tables), `SHA256SUMS` and `release.json`. The last one is written last: a folder without it is no release.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from schemas.runs import RELEASE_PATTERN, Release
 from warehouse.lake import Lake
 from warehouse.questions.documentation import tables_page
 from warehouse.release.attribution import attribution_of
-from warehouse.release.card import ReleaseFile, data_card
+from warehouse.release.card import ReleaseFile, cited, data_card
 from warehouse.release.catalog import open_catalog, write_catalog
+from warehouse.release.croissant import NAME, croissant
 from warehouse.release.tables import settings, sha256_of, write_releases, write_tables
 from warehouse.storage.refusals import named
 from warehouse.tables.adoption import now_utc
@@ -185,13 +186,16 @@ def _build(lake: Lake, reader: Reader, release: Release, folder: Path, advance: 
         card = data_card(release, connection, attribution, tables)
     (folder / "ATTRIBUTION.md").write_text(attribution.page(f"Attribution: release {release.name}"), encoding="utf-8")
     (folder / "README.md").write_text(card, encoding="utf-8")
-    _write_sums(folder, release, tables, ["ATTRIBUTION.md", "README.md", "tables.md", catalog.name])
+    further = [_described(folder / name) for name in ("ATTRIBUTION.md", "README.md", "tables.md", catalog.name)]
+    about = croissant(release, attribution, [*tables, *further], " ".join(cited(release, tables)))
+    (folder / NAME).write_text(about, encoding="utf-8")
+    _write_sums(folder, release, [*tables, *further, _described(folder / NAME)])
     return release
 
 
-def _write_sums(folder: Path, release: Release, tables: Sequence[ReleaseFile], further: Sequence[str]) -> None:
+def _write_sums(folder: Path, release: Release, written: Sequence[ReleaseFile]) -> None:
     """`SHA256SUMS` of all files, and `release.json` with the same of these and of `SHA256SUMS`."""
-    files = sorted([*tables, *(_described(folder / name) for name in further)], key=lambda file: file.path)
+    files = sorted(written, key=lambda file: file.path)
     (folder / SUMS).write_text("".join(f"{file.sha256}  {file.path}\n" for file in files), encoding="utf-8")
     listed = [dataclasses.asdict(file) for file in (*files, _described(folder / SUMS))]
     (folder / RECORD).write_text(json.dumps(record_fields(release) | {"files": listed}, indent=1) + "\n", encoding="utf-8")

@@ -12,6 +12,7 @@ from schemas.tables import TABLES
 from schemas.wording import noun
 from warehouse.release.attribution import Attribution, cell
 from warehouse.release.catalog import variable_of
+from warehouse.release.hub import card_head
 
 if TYPE_CHECKING:
     import duckdb
@@ -85,7 +86,7 @@ def data_card(release: Release, connection: duckdb.DuckDBPyConnection, attributi
     """`README.md` of a release. `connection` reads its tables and views; `files` are those that are written already."""
     ask = _Answers(connection)
     parts = [_head(release), _contents(release), _sources(ask), _licenses(attribution), _figures(ask), _limits(release, ask, attribution)]
-    return "\n".join([*parts, _files(release, files), _citation(release, files)])
+    return card_head(release, attribution, files) + "\n".join([*parts, _files(release, files), _citation(release, files)])
 
 
 class _Answers:
@@ -203,7 +204,8 @@ def _limits(release: Release, ask: _Answers, attribution: Attribution) -> str:
 
 def _files(release: Release, files: Sequence[ReleaseFile]) -> str:
     lines = ["## Files", "", "Plain Parquet, one file per table, sorted by its key, zstd. `tables.md` says what every column means,",
-             "`SHA256SUMS` what every file's checksum is (`sha256sum -c SHA256SUMS`), `release.json` the same for programs.", "",
+             "`SHA256SUMS` what every file's checksum is (`sha256sum -c SHA256SUMS`), `release.json` the same for programs,",
+             "`croissant.json` all of this as Croissant says it.", "",
              "| file | rows | bytes | SHA-256 |", "|---|---|---|---|"]  # fmt: skip
     lines += [
         f"| {cell(file.path)} | {file.rows:,} | {file.bytes:,} | `{file.sha256[:16]}...` |" for file in files if file.rows is not None
@@ -216,13 +218,17 @@ def _files(release: Release, files: Sequence[ReleaseFile]) -> str:
 
 
 def _citation(release: Release, files: Sequence[ReleaseFile]) -> str:
-    kept = [file for file in files if file.path.removesuffix(".parquet") in TABLES]
-    digest = digest_of(kept)
     lines = ["## How to cite", "", "Name the release, its snapshot and its checksum, so that others know whether they have the same:", "",
-             f"> MetaScenes lake, release {release.name}, snapshot {release.snapshot_id}, {release.created_at:%Y-%m-%d},",
-             f"> SHA-256 {digest}", "",
+             *(f"> {line}" for line in cited(release, files)), "",
              "The checksum is that of the lines `<SHA-256>  <file>` of the stages' tables in the order of the file names."]  # fmt: skip
     return "\n".join(lines) + "\n"
+
+
+def cited(release: Release, files: Sequence[ReleaseFile]) -> tuple[str, str]:
+    """How to cite a release: two lines."""
+    kept = [file for file in files if file.path.removesuffix(".parquet") in TABLES]
+    what = f"MetaScenes lake, release {release.name}, snapshot {release.snapshot_id}, {release.created_at:%Y-%m-%d},"
+    return what, f"SHA-256 {digest_of(kept)}"
 
 
 def digest_of(files: Sequence[ReleaseFile]) -> str:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
@@ -21,7 +22,7 @@ from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.geometry.transforms import matrix
 from tasks.shell import room_shell
-from tasks.stats import collisions, contact_sheets, scenes, words
+from tasks.stats import collisions, contact_sheets, scenes, thumbnails, words
 from tasks.stats.columns import GRIDS
 from tasks.stats.scenes import PictureConfig, RoomOutline
 from tasks.stats.style import INK
@@ -37,8 +38,8 @@ CHARTS = 16
 """Charts over all scenes of a lake in which there is something of everything but releases and drawn scenes."""
 OBJECTS = 6
 """Objects in the gallery of candidates: a scene has one of each category."""
-IMAGES = CHARTS + 2 * 9 + 2 * 2 + OBJECTS
-"""Of each of two scenes six pictures, loss curve, floor plan, heat map and two thumbnails; of each object its candidate."""
+IMAGES = 2 * 6 + 2 * 2 + OBJECTS
+"""Of each of two scenes six pictures and two thumbnails; of each object its candidate. Charts are part of the page."""
 SMALL = PictureConfig(width=120, height=84, oversampling=1)
 
 
@@ -102,6 +103,7 @@ class Page(HTMLParser):
         self.ids: list[str] = []
         self.links: list[str] = []
         self.images: list[dict[str, str | None]] = []
+        self.charts: list[str] = []
         self.tags: list[str] = []
         self.text = ""
         self.feed(html)
@@ -113,6 +115,8 @@ class Page(HTMLParser):
             self.ids.append(str(given["id"]))
         if tag == "a":
             self.links.append(str(given["href"]))
+        if tag == "svg":
+            self.charts.append(str(given["aria-label"]))
         if tag == "img":
             self.images.append(given)
 
@@ -126,9 +130,11 @@ def test_the_report_is_one_file_that_refers_to_nothing_outside(report: Path) -> 
     assert len(page.ids) == len(set(page.ids))
     assert all(link.startswith("#") and link[1:] in page.ids for link in page.links)
     assert len(page.images) == IMAGES
+    assert len(page.charts) == CHARTS + 2 * 3, "of each scene its loss curve, floor plan and heat map"
+    assert all(page.charts)
     assert all(str(image["src"]).startswith("data:image/") and image["alt"] for image in page.images)
     assert not {"link", "iframe", "object", "embed"} & set(page.tags)
-    assert not re.search(r"(?:src|href)=\"(?!data:|#)|@import|url\((?!data:)", re.sub(r"data:[^\"]*", "data:", html))
+    assert not re.search(r"(?:src|href)=\"(?!data:|#)|@import|url\((?!data:|#)", re.sub(r"data:[^\"]*", "data:", html))
     assert len(html) < 10e6
     assert page.tags.count("h1") == 1
 
@@ -157,18 +163,20 @@ def test_the_report_says_what_the_views_say(report: Path, lake: Lake) -> None:
 
 
 def test_a_scene_has_a_picture_before_and_one_after_its_optimization(report: Path) -> None:
-    images = {str(image["alt"]): str(image["src"]) for image in Page(report.read_text()).images}
+    page = Page(report.read_text())
+    images = {str(image["alt"]): str(image["src"]) for image in page.images}
     for scene in ("demo/room_0", "demo/room_1"):
         before, after = (images[f"{name} of {scene} seen with what collides marked"] for name in ("Proposed", "Optimized"))
         assert before != after
-        assert any(alt.startswith(f"Collision loss of {scene} over 2 steps: 250 mm at the start, 0 mm") for alt in images)
+        assert any(alt.startswith(f"Collision loss of {scene} over 2 steps: 250 mm at the start, 0 mm") for alt in page.charts)
 
 
 def test_a_scene_has_a_heat_map_and_its_figure(report: Path) -> None:
     page = Page(report.read_text())
-    maps = {str(image["alt"]): str(image["src"]) for image in page.images if "to its replica" in str(image["alt"])}
-    assert sorted(maps) == [f"Distance of the scan of demo/room_{number} to its replica, from above" for number in (0, 1)]
-    assert len(set(maps.values())) == 2
+    maps = [alt for alt in page.charts if "to its replica" in alt]
+    assert maps == [f"Distance of the scan of demo/room_{number} to its replica, from above" for number in (0, 1)]
+    drawn = [part for part in report.read_text().split("<svg ") if "to its replica, from above" in part.partition(">")[0]]
+    assert len({re.findall(r'<image[^>]*href="([^"]*)"', part)[0] for part in drawn}) == 2, "each has cells of its own"
     text = " ".join(page.text.split())
     assert "F-score at 5 cm0.750" in text
     assert "F-score at 5 cm0.875" in text
@@ -227,10 +235,40 @@ def test_any_number_of_workers_gives_the_same_report(report: Path, lake: Lake, t
     assert sorted(told) == sorted(["demo/room_0", "demo/room_1", *objects])
 
 
+@pytest.mark.whole
+def test_after_a_new_scene_only_that_scene_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also the gallery's objects, whose categories are more frequent then, are not drawn again. No worker is started where all is known."""
+    monkeypatch.setenv("METASCENES_CACHE", str(tmp_path / "cache"))
+    lake = furnished_lake(tmp_path / "lake", scenes=1, objects=3)
+    write_report(lake, tmp_path / "a.html", look=SMALL, workers=1)
+    furnished_lake(tmp_path / "lake", scenes=2, objects=3)
+    drawn: list[str] = []
+    pictures, thumbnail = scenes.picture_scene, thumbnails.object_thumbnail
+
+    def counted(*arguments: Any, **named: Any) -> Any:
+        drawn.append("scene")
+        return pictures(*arguments, **named)
+
+    monkeypatch.setattr(scenes, "picture_scene", counted)
+    monkeypatch.setattr(thumbnails, "object_thumbnail", lambda *a, **k: drawn.append("object") or thumbnail(*a, **k))
+    grown = write_report(lake, tmp_path / "b.html", look=SMALL, workers=1)
+    assert sorted(grown.answers.scenes.pictured) == ["demo/room_0", "demo/room_1"]
+    shown = grown.answers.rows["instances.gallery"].to_pylist()
+    fresh = {(row["asset_blob"], str(row["scale"])) for row in shown if row["scene_id"] == "demo/room_1" and row["asset_blob"]}
+    assert drawn.count("scene") == 1
+    assert drawn.count("object") <= len(fresh)
+    monkeypatch.setattr("flows.run.pool.WorkerPool", refused)
+    again = write_report(lake, tmp_path / "c.html", look=SMALL, workers=2)
+    assert again.path.read_bytes() == grown.path.read_bytes()
+
+
 def test_an_empty_lake_has_a_report(tmp_path: Path) -> None:
     page = Page(write_report(Lake.open(tmp_path / "none"), tmp_path / "report.html").path.read_text())
     assert "A lake without a snapshot" in page.text
-    assert page.images == []
+    assert page.images == page.charts == []
+    assert page.tags.count("table") == page.tags.count("caption") == 1, "the paper's minutes alone: tables without rows are left out"
+    assert [link for link in page.links if not link.startswith("#sql-")] == ["#time", "#failures", "#citing", "#sql"]
+    assert "No stage failed." in page.text
     assert not (tmp_path / "none").exists()
 
 

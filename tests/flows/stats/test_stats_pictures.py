@@ -13,7 +13,8 @@ import pytest
 from flows.progress import Progress
 from flows.scans import erasure
 from flows.stats import pictures
-from flows.stats.pictures import remembered
+from flows.stats.pictures import NotDrawnYet, only_remembered, remembered
+from tasks.films.drives import DriveStill
 from tasks.stats.scenes import PictureConfig, ScenePictures
 from tasks.stats.style import Picture
 from tasks.stats.thumbnails import CandidateStrip, CandidateTile
@@ -25,6 +26,7 @@ DRAWN: list[Any] = [
     ScenePictures(b"a", b"b\xff", b"c", b"d", b"e", None, CURVE, b"f"),
     CandidateStrip("a/b", "0001", "chair", None, "rank", (TILE, TILE)),
     CURVE,
+    DriveStill("p", "r", "s", "arrived", "a/b", "0001", "chair", "after 3 s", b"jpeg"),
     (b"a", b"b"),
     None,
 ]
@@ -54,6 +56,17 @@ def test_the_same_facts_draw_once_and_give_the_same(what: Any) -> None:
     draw = Draw(what)
     facts = ["scene", PictureConfig(), pa.table({"a": [1, 2], "b": ["x", None]}), [("asset", "blob")]]
     assert [remembered(facts, draw), remembered(facts, draw)] == [what, what]
+    assert draw.calls == 1
+
+
+def test_where_nothing_may_be_drawn_only_what_is_known_is_given() -> None:
+    draw = Draw(CURVE)
+    with only_remembered(), pytest.raises(NotDrawnYet):
+        remembered(["a"], draw)
+    assert draw.calls == 0
+    assert remembered(["a"], draw) == CURVE
+    with only_remembered():
+        assert remembered(["a"], draw) == CURVE
     assert draw.calls == 1
 
 

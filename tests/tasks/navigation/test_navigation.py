@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -265,12 +266,18 @@ def test_the_plan_is_a_picture_of_the_room_and_reproducible() -> None:
     free = free_space(floor, list(prints.values()), 0.18)
     picture = draw_plan(free, prints, episodes, floor)
     assert picture == draw_plan(free, prints, episodes, floor)
-    pixels = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
+    pixels = np.asarray(Image.open(io.BytesIO(picture.png)).convert("RGB")).astype(int)
     assert min(pixels.shape[:2]) > 500
     green = (np.abs(pixels - (213, 232, 212)).max(axis=2) < 4).mean()
     brown = (np.abs(pixels - (176, 161, 143)).max(axis=2) < 4).mean()
     assert green > 0.1
     assert 0.005 < brown < green
+    titles = re.findall(r"<title>([^<]*)</title>", picture.svg)
+    assert {title.partition(":")[0] for title in titles if "in the way" in title} == {name for name, area in prints.items() if area.area}
+    paths = [title for title in titles if title.startswith("episode ")]
+    assert len(paths) == min(40, len(episodes))
+    known = {f"episode {e.episode_id}: {e.geodesic_m:.2f} m to {e.category} {e.instance_id}" for e in episodes}
+    assert set(paths) <= known
 
 
 def test_the_declaration_names_what_run_takes_and_gives() -> None:

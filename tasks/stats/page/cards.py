@@ -11,7 +11,9 @@ from typing import Any
 import pyarrow as pa
 
 from tasks.stats.grids import OBJECT_LIMIT, Cell, Format, Grid, as_box, as_count, as_number, as_percent, as_share, as_text, grid
+from tasks.stats.page.inline import inlined
 from tasks.stats.scenes import ScenePictures
+from tasks.stats.style import Picture
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,8 +30,8 @@ class PicturePair:
 class SceneCard:
     """What the report says of one scene. `excuse` stands where there are no pictures.
 
-    curve, plan, heat: address of the loss curve, of the floor plan and of the heat map, and what is to be seen. remains: what could
-    not be put right.
+    curve, plan, heat: SVG of the loss curve, of the floor plan and of the heat map, where there are any. remains: what could not be
+    put right.
     """
 
     scene_id: str
@@ -37,9 +39,9 @@ class SceneCard:
     facts: tuple[tuple[str, str], ...]
     pictures: tuple[PicturePair, ...]
     excuse: str
-    curve: tuple[str, str] | None
-    plan: tuple[str, str] | None
-    heat: tuple[str, str] | None
+    curve: str
+    plan: str
+    heat: str
     certificate: Grid
     remains: tuple[str, ...]
     objects: Grid
@@ -80,13 +82,17 @@ def scene_card(scene_id: str, pictures: ScenePictures | str, answers: Mapping[st
         facts=tuple(_facts(scene_id, answers)),
         pictures=tuple(_pairs(scene_id, pictures, answers)) if isinstance(pictures, ScenePictures) else (),
         excuse=as_text(pictures) if isinstance(pictures, str) else "",
-        curve=(data_address(curve.svg.encode(), "image/svg+xml"), curve.alt) if curve else None,
-        plan=(data_address(plan, "image/png"), f"Floor plan of {scene_id}: navmesh, footprints and paths of episodes") if plan else None,
-        heat=(data_address(heat, "image/png"), f"Distance of the scan of {scene_id} to its replica, from above") if heat else None,
+        curve=_svg(curve),
+        plan=_svg(plan),
+        heat=_svg(heat),
         certificate=_certificate(scene_id, answers),
         remains=tuple(as_text(f"{name}: {row['remains']}" if name else row["remains"]) for name, row in zip(named, remains, strict=True)),
         objects=objects,
     )
+
+
+def _svg(picture: Picture | None) -> str:
+    return inlined(picture) if picture is not None else ""
 
 
 def _pairs(scene_id: str, pictures: ScenePictures, answers: Mapping[str, pa.Table]) -> list[PicturePair]:

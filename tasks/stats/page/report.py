@@ -9,11 +9,12 @@ import pyarrow as pa
 
 from tasks.films.drives import DriveStill
 from tasks.films.walks import WalkStrip
-from tasks.stats.cards import anchor_of, data_address, scene_card, scene_table
 from tasks.stats.columns import report_grids
-from tasks.stats.grids import as_count, as_number, as_text
+from tasks.stats.grids import Grid, as_count, as_number, as_text
+from tasks.stats.page.cards import anchor_of, data_address, scene_card, scene_table
+from tasks.stats.page.inline import inlined
 from tasks.stats.scenes import ScenePictures
-from tasks.stats.style import INK, MUTED, PAPER, SERIES, Picture
+from tasks.stats.style import GRID, INK, MUTED, PAPER, SERIES, Picture
 from tasks.stats.thumbnails import OBJECT_PX, SCENE_PX, CandidateStrip, CandidateTile, SceneTile
 
 
@@ -59,12 +60,20 @@ def render_report(content: ReportContent) -> str:
     """The report as one HTML document. The same content gives the same text."""
     from importlib import resources
 
-    from jinja2 import Environment, StrictUndefined
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+    from markupsafe import Markup
 
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string((resources.files("tasks.stats") / "report.html.jinja").read_text(encoding="utf-8"))
-    return template.render(
-        tones={"ink": INK, "muted": MUTED, "paper": PAPER, **{tone.role: tone for tone in SERIES}},
+    def read(name: str) -> str:
+        return (resources.files("tasks.stats.page") / name).read_text(encoding="utf-8")
+
+    environment = Environment(loader=FunctionLoader(read), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    grids = report_grids(content.answers, content.totals, content.stages)
+    sections = _sections(content, grids)
+    return environment.get_template("report.html.jinja").render(
+        script=Markup(read("report.js")),
+        sections=sections,
+        present={anchor for anchor, _ in sections},
+        tones={"ink": INK, "muted": MUTED, "grid": GRID, "paper": PAPER, **{tone.role: tone for tone in SERIES}},
         headline=_headline(content.answers["headline"]),
         cards=[scene_card(scene_id, pictures, content.answers) for scene_id, pictures in content.scenes.items()],
         all_scenes=scene_table(content.answers, content.answers["headline"]["scenes"][0].as_py()),
@@ -74,8 +83,8 @@ def render_report(content: ReportContent) -> str:
         drives=[(drive, data_address(drive.picture, "image/jpeg")) for drive in content.drives],
         scene_px=SCENE_PX,
         object_px=OBJECT_PX,
-        pictures=[(picture, data_address(picture.svg.encode(), "image/svg+xml")) for picture in content.pictures],
-        grids=report_grids(content.answers, content.totals, content.stages),
+        pictures=[(picture, inlined(picture)) for picture in content.pictures],
+        grids=grids,
         queries=content.queries,
         snapshot_id=content.snapshot_id,
         snapshot_time=content.snapshot_time,
@@ -85,6 +94,49 @@ def render_report(content: ReportContent) -> str:
         picture_width=content.picture_size[0],
         picture_height=content.picture_size[1],
     )
+
+
+def _sections(content: ReportContent, grids: Mapping[str, Grid]) -> list[tuple[str, str]]:
+    """Anchor and name of each section that has something to say, in the order of the page."""
+    scenes = content.answers["headline"]["scenes"][0].as_py()
+    further = {
+        "gallery": content.tiles,
+        "scenes": content.scenes or scenes,
+        "statistics": content.pictures,
+        "selection": content.strips,
+        "navigation": content.walks,
+        "robot": content.drives,
+    }
+    return [
+        (anchor, name)
+        for anchor, (name, views) in _SECTIONS.items()
+        if views is None or further.get(anchor) or any(grids[view].rows for view in views)
+    ]
+
+
+_SECTIONS: Mapping[str, tuple[str, Sequence[str] | None]] = {
+    "gallery": ("Gallery", ()),
+    "scenes": ("Scenes", ()),
+    "statistics": ("Statistics", ("dataset_comparison",)),
+    "time": ("Time", ("stage_timing", "annotation_timing")),
+    "selection": ("Selection", ("selection_quality",)),
+    "selection-methods": ("Selection methods", ("selection_methods",)),
+    "annotation": ("Annotation", ("annotation_agreement", "annotator_agreement", "quality_history")),
+    "plausibility": (
+        "Plausibility",
+        ("scene_certificates", "stability", "unstable_objects", "optimization_remains", "support_counts", "density_check"),
+    ),
+    "fidelity": ("Fidelity", ("scene_fidelity_overview", "fidelity_by_category")),
+    "micro-scenes": ("Micro-scenes", ("micro_scene_overview", "synthesis_figures", "synthesis_evaluations")),
+    "navigation": ("Navigation", ("navigability", "navigation_metrics", "navigation_comparison", "unreachable_objects")),
+    "robot": ("Robot", ("robot_metrics",)),
+    "exports": ("Exports", ("export_verdicts", "broken_rules")),
+    "failures": ("Failures", None),
+    "licenses": ("Licenses", ("license_counts", "attributions")),
+    "citing": ("Citing", None),
+    "sql": ("SQL", None),
+}
+"""Name of each section in the bar, and the views of its tables; None where it always has something to say."""
 
 
 def _headline(rows: pa.Table) -> list[tuple[str, str]]:
