@@ -17,7 +17,7 @@ FOLDER = "blobs"
 _FRESH_SECONDS = 3600.0
 
 _WRITERS = 8
-"""Threads that wait for the store at a time: the syncs of files on one disk are one, and a store over the network answers each by itself."""
+"""Threads that wait for the store at a time: a disk syncs many files at once, and a store over the network answers each by itself."""
 
 
 class BlobStore(Mapping[str, bytes]):
