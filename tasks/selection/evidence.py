@@ -267,7 +267,7 @@ def _samples(
     asset_ids: Sequence[str], assets: Mapping[str, Asset], context: Context, config: SelectionConfig, degradations: list[str]
 ) -> dict[str, Sample]:
     """Samples of assets by id; those that cannot be sampled are said in `degradations`, in their order."""
-    found: dict[str, Sample | str] = {}
+    sampled: dict[str, Sample | str] = {}
     work: list[_Sampling] = []
     for asset_id in asset_ids:
         asset = assets.get(asset_id)
@@ -276,10 +276,10 @@ def _samples(
                 raise ValueError("has no row in assets")
             work.append(_Sampling(asset, context.blobs[asset.mesh_blob], config.alignment, context.rng("asset", asset_id)))
         except (InputError, ValueError, KeyError) as error:
-            found[asset_id] = str(error)
-    found |= {each.asset.asset_id: made for each, made in zip(work, context.spread(_sampled, work), strict=True)}
-    degradations += [f"asset {name[:12]}: left out: {why}" for name in asset_ids if isinstance(why := found[name], str)]
-    return {name: made for name in asset_ids if isinstance(made := found[name], Sample)}
+            sampled[asset_id] = str(error)
+    sampled |= {each.asset.asset_id: made for each, made in zip(work, context.spread(_sampled, work), strict=True)}
+    degradations += [f"asset {name[:12]}: left out: {why}" for name in asset_ids if isinstance(why := sampled[name], str)]
+    return {name: made for name in asset_ids if isinstance(made := sampled[name], Sample)}
 
 
 def _placed_iou(frame: Array, fit: Fit, sample: Sample, instance: Instance) -> float:

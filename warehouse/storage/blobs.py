@@ -45,9 +45,9 @@ class BlobStore(Mapping[str, bytes]):
         if blobs:
             self._prepare()
         with ThreadPoolExecutor(_WRITERS, thread_name_prefix="blobs") as writers:
-            done = [writers.submit(self._keep, name, data) for name, data in blobs.items()]
-        for one in done:
-            one.result()
+            writes = [writers.submit(self._keep, name, data) for name, data in blobs.items()]
+        for write in writes:
+            write.result()
 
     def _keep(self, name: str, data: bytes) -> None:
         path = _path(name)
