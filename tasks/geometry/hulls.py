@@ -123,7 +123,10 @@ def with_body(points: Array, thickness: float) -> Array:
 
 
 def complexity(hull: Hull, coplanar: float = COPLANAR) -> Complexity:
-    """Vertices, convex polygons once coplanar triangles are one, most corners of a polygon, most polygons at a vertex."""
+    """Vertices, convex polygons once coplanar triangles are one, most corners of a polygon, most polygons at a vertex.
+
+    coplanar: Share of the hull's diagonal, up to which triangles lie in one plane; see `COPLANAR`.
+    """
     polygon = _polygon_of(hull, coplanar)
     count = int(polygon.max()) + 1
     corners = np.unique(np.column_stack([np.repeat(polygon, 3), hull.faces.ravel()]), axis=0)

@@ -192,24 +192,27 @@ def _annotation(folder: Path) -> Path:
 
 
 def _recognize(folder: Path) -> str | None:
-    return _annotation(folder).name.removesuffix(ANNOTATION) if _annotations(folder) else None
+    return _stem(folder) if _annotations(folder) else None
+
+
+def _stem(folder: Path) -> str:
+    """What the files of a scan begin with: its name."""
+    return _annotation(folder).name.removesuffix(ANNOTATION)
 
 
 def mesh_of(folder: Path) -> Path:
-    """Where the mesh of a scan is, or would be."""
-    return folder / f"{_annotation(folder).name.removesuffix(ANNOTATION)}{MESH}"
+    """Where the mesh of a scan is, or would be. Raises InputError where there is not one annotation."""
+    return folder / f"{_stem(folder)}{MESH}"
 
 
 def _named(scan: Scan, ending: str) -> Path | None:
     """A file of the scan by what it ends with; None where nothing has that name: a link to nothing is to be told, not a scan without it."""
-    name = f"{_annotation(scan.folder).name.removesuffix(ANNOTATION)}{ending}"
+    name = f"{_stem(scan.folder)}{ending}"
     return own_file(scan, name) if os.path.lexists(scan.folder / name) else None
 
 
 def _files(scan: Scan, premises: Premises) -> list[Path]:
-    annotation = _annotation(scan.folder)
-    stem = annotation.name.removesuffix(ANNOTATION)
-    own = (annotation, *(scan.folder / f"{stem}{ending}" for ending in (SEGMENTS, MESH)))
+    own = (scan.folder / f"{_stem(scan.folder)}{ending}" for ending in (ANNOTATION, SEGMENTS, MESH))
     return [path for path in own if path.is_file() and premises.admits(path)]
 
 

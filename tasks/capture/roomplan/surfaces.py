@@ -86,7 +86,7 @@ def assembled(elements: Sequence[ElementPart], name: str, list_of: str, remedy: 
 
 
 def wall_parts(walls: Sequence[RoomElement], holes: Sequence[RoomElement], name: str) -> list[trimesh.Trimesh]:
-    """Walls without the doors, windows and openings in them. name: What errors call the file.
+    """Walls without the doors, windows and openings in them, in their order, in the +Z-up frame [m]. name: What errors call the file.
 
     Raises:
         InputError: a hole lies in more walls than there are in a place.
@@ -113,7 +113,7 @@ def wall_parts(walls: Sequence[RoomElement], holes: Sequence[RoomElement], name:
 
 
 def ceiling_part(ceiling: RoomElement) -> trimesh.Trimesh:
-    """A ceiling with its outline, of plaster like walls."""
+    """A ceiling with its outline, of plaster like walls, in the +Z-up frame [m]."""
     return _flat_part(_outline(ceiling), ceiling.pose, GRAY)
 
 

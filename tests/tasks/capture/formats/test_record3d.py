@@ -10,7 +10,8 @@ import pytest
 
 from schemas.errors import InputError
 from tasks.capture.wholeness import find_gap
-from tests.tasks.capture.formats.written import assert_same_frames, only_scan, read, sample, write_record3d
+from tests.tasks.capture.formats.phones import write_record3d
+from tests.tasks.capture.formats.written import assert_same_frames, only_scan, read, sample
 
 
 def write_sample(folder: Path) -> None:

@@ -10,7 +10,8 @@ import pytest
 from schemas.errors import InputError
 from tasks.capture.wholeness import find_gap
 from tasks.geometry.transforms import transform_points
-from tests.tasks.capture.formats.written import only_scan, read, sample, write_stray_scanner
+from tests.tasks.capture.formats.phones import write_stray_scanner
+from tests.tasks.capture.formats.written import only_scan, read, sample
 
 
 def write_sample(folder: Path) -> None:
