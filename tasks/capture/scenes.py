@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,10 @@ from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import flat
 from tasks.mounting import mounting
 from tasks.settings import Config, Count
-from tasks.stage import Blobs, Context, Outcome
+from tasks.stage import Blobs, Context, Outcome, in_turn
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,16 +129,21 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         )
         for index, (group, label, solid, finder) in enumerate(zip(groups, meanings, solids, finders, strict=True))
     ]  # fmt: skip
-    sights = _sights(reading, world, instances, alignment, context, config)
-    rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config, instances.finders)
     cloud = _cloud(reading, world, groups, context)
     classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
     shell, is_seen, leaves = _shell(context, reading, cloud, classes, meanings, solids, notes, is_modelled)
     if not is_modelled:
         rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell, leaves)
     shell, rooms, rows = parted(shell, rows, reading.room_type, is_seen)
-    surfaces = _surfaces(shell, reading, world, alignment.pose, groups, meanings, config, blobs)
-    mesh, mesh_notes = scan_mesh(reading, world, alignment, config.max_faces)
+    work = (
+        partial(_sights, _shown(instances, context), world, reading.frames, alignment.pose, config),
+        partial(_surfaces, shell, reading.parts, world, alignment.pose, groups, meanings, config),
+        partial(scan_mesh, _geometry(reading), world, alignment, config.max_faces),
+    )
+    spread = in_turn if reading.parts else context.spread  # textures of a model take longer to send than to use
+    sights, (surfaces, pictures), (mesh, mesh_notes) = spread(_value, work)
+    blobs.update(pictures)
+    rows, masks = _with_views(rows, [*sights, *instances.sights], reading.frames, context.scene_id, blobs, config, instances.finders)
     scene = Scene(
         scene_id=context.scene_id,
         room_id=room_of(scan),
@@ -216,21 +224,36 @@ _PROBES = 400
 """Points of an instance that are tested for visibility: their share is then known to 2 or 3 percent."""
 
 
-def _sights(
-    reading: Reading, world: Surface, instances: Instances, alignment: Alignment, context: Context, config: CaptureConfig
-) -> list[Sight]:
-    """Best views of everything that is not part of the room itself."""
-    face_instance = np.full(len(world.faces), -1, dtype=np.int64)
+def _value(function: Callable[[], Any]) -> Any:
+    """What a function of nothing gives: for work of several kinds that is done side by side."""
+    return function()
+
+
+def _geometry(reading: Reading) -> Reading:
+    """What a scan's mesh in the lake is made of besides its surface in the world frame."""
+    return dataclasses.replace(reading, surface=None, frames=(), groups=None)
+
+
+def _shown(instances: Instances, context: Context) -> tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]]:
+    """Faces of each instance, and points of everything that is not part of the room itself by which views of it are found."""
     probes = []
-    for index, (group, label, solid) in enumerate(zip(instances.groups, instances.meanings, instances.solids, strict=True)):
-        face_instance[group.faces] = index
+    for index, (label, solid) in enumerate(zip(instances.meanings, instances.solids, strict=True)):
         count = 0 if label.is_structure or index in instances.finders else min(_PROBES, len(solid.points))
         probes.append(solid.points[context.rng("probes", index).choice(len(solid.points), count, replace=False)])
-    sights = best_sights(
-        world, face_instance, probes, reading.frames, alignment.pose,
-        most_frames=config.max_view_frames, per_instance=config.views_per_instance,
-    )  # fmt: skip
-    return [*sights, *instances.sights]
+    return [group.faces for group in instances.groups], probes
+
+
+def _sights(
+    shown: tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]], world: Surface, frames: Sequence[FrameSource],
+    pose: NDArray[np.float64], config: CaptureConfig,
+) -> list[Sight]:  # fmt: skip
+    """Best views of everything that is not part of the room itself. pose: Scan frame to world frame, 4x4 [m]."""
+    face_instance = np.full(len(world.faces), -1, dtype=np.int64)
+    for index, faces in enumerate(shown[0]):
+        face_instance[faces] = index
+    return best_sights(
+        world, face_instance, shown[1], frames, pose, most_frames=config.max_view_frames, per_instance=config.views_per_instance
+    )
 
 
 def _with_views(
@@ -308,11 +331,12 @@ def _is_let_in(label: Label) -> bool:
 
 
 def _surfaces(
-    room: Shell, reading: Reading, world: Surface, pose: NDArray[np.float64], groups: Sequence[Group], meanings: Sequence[Label],
-    config: CaptureConfig, blobs: Blobs,
-) -> list[RoomSurface]:  # fmt: skip
-    """How floor, walls and ceiling look. Faces with a corner of an object may have its colors, whatever they are named. pose: Scan frame to
-    world frame, 4x4 [m]."""
+    room: Shell, models: Sequence[trimesh.Trimesh], world: Surface, pose: NDArray[np.float64], groups: Sequence[Group],
+    meanings: Sequence[Label], config: CaptureConfig,
+) -> tuple[list[RoomSurface], Blobs]:  # fmt: skip
+    """How floor, walls and ceiling look, and their images. Faces with a corner of an object may have its colors, whatever they are named.
+    models: Parts of a scan that is one, scan frame. pose: Scan frame to world frame, 4x4 [m]."""
+    blobs = Blobs()
     is_object, kinds = np.zeros(len(world.vertices), dtype=bool), np.full(len(world.faces), LOOSE, dtype=np.int8)
     for group, label in zip(groups, meanings, strict=True):
         if label.is_structure:
@@ -320,16 +344,16 @@ def _surfaces(
         else:
             is_object[group.vertices] = True
     kinds[is_object[world.faces].any(axis=1)] = OBJECT
-    if not reading.parts:
-        return baked_surfaces(room, [world.to_trimesh()], [kinds], config.textures, blobs)
-    faces = np.cumsum([0, *(len(part.faces) for part in reading.parts)])
+    if not models:
+        return baked_surfaces(room, [world.to_trimesh()], [kinds], config.textures, blobs), blobs
+    faces = np.cumsum([0, *(len(part.faces) for part in models)])
     parts = []
-    for part in reading.parts:
+    for part in models:
         moved = part.copy()
         moved.vertices = np.asarray(part.vertices) @ pose[:3, :3].T + pose[:3, 3]
         parts.append(moved)
     own = [kinds[start:end] for start, end in itertools.pairwise(faces)]
-    return baked_surfaces(room, parts, own, config.textures, blobs)
+    return baked_surfaces(room, parts, own, config.textures, blobs), blobs
 
 
 def _frame_row(frame: FrameSource, scene_id: str, alignment: Alignment) -> Frame:

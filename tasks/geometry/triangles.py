@@ -125,6 +125,13 @@ def corner_normals(vertices: Array, faces: Integers, crease: float) -> Array:
     return np.where(is_unit[:, :, None], smooth, face_normals(vertices, faces)[:, None])
 
 
+def used_vertices(faces: Integers, count: int) -> tuple[Integers, Integers]:
+    """Which of `count` vertices some faces use, ascending, shape (k,), and the faces as indices into these, shape (m, 3)."""
+    is_used = np.zeros(count, dtype=bool)
+    is_used[faces] = True
+    return np.flatnonzero(is_used), (np.cumsum(is_used) - 1)[faces]
+
+
 def welded(vertices: Array, decimals: int = WELD_DECIMALS) -> tuple[Integers, Integers]:
     """The first vertex at each place, shape (k,), and the place of each vertex, shape (n,)."""
     return distinct_rows(np.round(vertices, decimals))

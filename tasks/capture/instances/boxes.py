@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.geometry.transforms import yaw_pose
+from tasks.geometry.triangles import distinct_rows
 
 Array = NDArray[np.float64]
 
@@ -110,7 +111,7 @@ def _area(hull: Array) -> float:
 def _hull(plan: Array) -> Array:
     from scipy.spatial import ConvexHull, QhullError
 
-    unique = np.unique(plan, axis=0)
+    unique = plan[distinct_rows(plan)[0]]
     if len(unique) < 3:
         return unique
     try:

@@ -15,7 +15,7 @@ from tasks.capture.labels import Label
 from tasks.capture.reading import Group
 from tasks.geometry.meshes import Surface, dump_glb, dump_points, material_of, sample_texture
 from tasks.geometry.transforms import flat
-from tasks.geometry.triangles import spread, surface_area
+from tasks.geometry.triangles import spread, surface_area, used_vertices
 from tasks.stage import Blobs
 
 Array = NDArray[np.float64]
@@ -102,12 +102,12 @@ def instance_row(
 
 def box_of(solid: InstancePoints, surface: Surface, category: str) -> tuple[Array, Array]:
     """The oriented box of an instance: to the world frame, 4x4 [m], origin at its center, and its extents [m], shape (3,)."""
-    exact = surface.vertices[np.unique(surface.faces[solid.faces])] if solid.is_exact else solid.points
+    exact = surface.vertices[used_vertices(surface.faces[solid.faces], len(surface.vertices))[0]] if solid.is_exact else solid.points
     own = exact if solid.is_exact else exact[own_part(exact, category)]
     return oriented_box(own, is_noisy=not solid.is_exact)
 
 
 def cropped_mesh(surface: Surface, faces: NDArray[np.int64]) -> bytes:
     """GLB of some faces of a surface, in its frame, without the vertices that no face uses."""
-    used, dense = np.unique(surface.faces[faces], return_inverse=True)
-    return dump_glb([Surface(surface.vertices[used], dense.reshape(-1, 3), surface.colors[used]).to_trimesh()], ["instance"])
+    used, dense = used_vertices(surface.faces[faces], len(surface.vertices))
+    return dump_glb([Surface(surface.vertices[used], dense, surface.colors[used]).to_trimesh()], ["instance"])

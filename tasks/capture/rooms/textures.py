@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from schemas.capture import RoomSurface, Shell
 from tasks.geometry.meshes import vertex_colors
 from tasks.geometry.rendering import RayScene
-from tasks.geometry.triangles import face_normals
+from tasks.geometry.triangles import face_normals, used_vertices
 from tasks.settings import Config, Count, NonNegative, Positive, Share
 from tasks.shell import floor_ring
 from tasks.stage import Blobs
@@ -79,15 +79,14 @@ class _Part:
         """A mesh of some of the faces, by index, and of their corners."""
         import trimesh
 
-        is_used = np.zeros(len(self.mesh.vertices), dtype=bool)
-        is_used[self.faces[which]] = True
-        place = np.cumsum(is_used) - 1
-        mesh = trimesh.Trimesh(np.asarray(self.mesh.vertices)[is_used], place[self.faces[which]], process=False)
+        count = len(self.mesh.vertices)
+        used, faces = used_vertices(self.faces[which], count)
+        mesh = trimesh.Trimesh(np.asarray(self.mesh.vertices)[used], faces, process=False)
         visual: Any = self.mesh.visual
-        if visual.kind == "texture" and visual.uv is not None and len(visual.uv) == len(is_used):
-            mesh.visual = trimesh.visual.TextureVisuals(uv=np.asarray(visual.uv)[is_used], material=visual.material)
+        if visual.kind == "texture" and visual.uv is not None and len(visual.uv) == count:
+            mesh.visual = trimesh.visual.TextureVisuals(uv=np.asarray(visual.uv)[used], material=visual.material)
         else:
-            mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=_opaque(vertex_colors(self.mesh)[is_used]))
+            mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=_opaque(vertex_colors(self.mesh)[used]))
         return mesh
 
 

@@ -162,7 +162,7 @@ def tints_of(color: NDArray[np.floating | np.uint8]) -> Array:
 def other_color(first: Array, second: Array, config: PatchConfig, slack: float = 1.0) -> Bools:
     """Where two tints, shapes (..., 3), are two paints."""
     step = np.abs(first - second)
-    return np.asarray((step[..., 0] > slack * config.luma) | (step[..., 1:].max(axis=-1) > slack * config.chroma))
+    return np.asarray((step[..., 0] > slack * config.luma) | (np.maximum(step[..., 1], step[..., 2]) > slack * config.chroma))
 
 
 def _patches(stands: Bools, hollow: Bools, tint: Array, steps: list[Bools], config: PatchConfig) -> Indices:
