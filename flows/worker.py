@@ -13,7 +13,7 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ from schemas.text import one_line
 from schemas.wording import counted
 from tasks.library.library import OpenLibrary
 from tasks.models import Model
-from tasks.stage import Context, Outcome, Stage, silently
+from tasks.stage import Context, Outcome, Spread, Stage, silently
 from warehouse.lake import Lake
 from warehouse.release.licenses import with_licenses_of_scans
 from warehouse.tables.history import parse_elsewhere
@@ -61,10 +61,6 @@ class Job:
     processes: int = 1
     snapshot_id: int | None = None
     calls: CallRules = FREE
-
-
-Spread = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
-"""A map over items, as `Context.spread`."""
 
 
 Report = Callable[[int, int, str], None]

@@ -44,6 +44,10 @@ def silently(done: int, of: int, text: str) -> None:
     """Progress that nobody watches."""
 
 
+Spread = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
+"""A map: the function's values for items, in their order."""
+
+
 def in_turn(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
     """The function's values, one item after another, in this process."""
     return [function(item) for item in items]
@@ -80,7 +84,7 @@ class Context:
     seed: int
     blobs: Mapping[str, bytes]
     caches: Caches = dataclasses.field(default_factory=_forgetful)
-    spread: Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]] = in_turn
+    spread: Spread = in_turn
     report: Callable[[int, int, str], None] = silently
     ledger: Ledger = dataclasses.field(default_factory=Recollection)
 

@@ -17,6 +17,7 @@ from flows.worker import execute
 from schemas.errors import InputError
 from tasks.evaluation import check_batch
 from tasks.evaluation.batch import read_batch
+from tasks.stage import Spread
 from warehouse.lake import Lake
 from warehouse.tables.history import Key, StageState
 from warehouse.tables.snapshot import Reader
@@ -113,7 +114,7 @@ def _held(history: Mapping[Key, StageState], batch_id: str) -> _Held | None:
     return _Held(reasons["trajectory_batch"], float(json.loads(state.done.config)["success_m"]))
 
 
-def _advancing(progress: Progress) -> Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]:
+def _advancing(progress: Progress) -> Spread:
     """A map in turn that moves a bar on after every item."""
 
     def spread(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from flows.run.child import start_worker
-from tasks.stage import in_turn
+from tasks.stage import Spread, in_turn
 
 T = TypeVar("T")
 
@@ -134,9 +134,7 @@ def _end(pool: Any) -> None:
     pool.join()
 
 
-def spread_over(
-    processes: int, advance: Callable[[int, int], None] | None = None
-) -> Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]:
+def spread_over(processes: int, advance: Callable[[int, int], None] | None = None) -> Spread:
     """A map for work inside a worker: over so many processes of its own, kept warm; in turn when there is only one.
 
     The results are in the order of the items either way. `advance` is told how many of them are there, and of how many.

@@ -5,6 +5,7 @@ A decomposition left to the engine is not portable (engines inflate, merge or ig
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 from collections import OrderedDict
@@ -14,14 +15,17 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.errors import InputError
 from tasks.geometry.colliders import ColliderShares, sightlines
 from tasks.geometry.decomposition import parts_of, split
 from tasks.geometry.feet import on_feet
 from tasks.geometry.hulls import Hull, balanced, deviation, hull_of, reduced, with_body
 from tasks.geometry.mass import MassProperties, mass_properties
+from tasks.geometry.meshes import load_glb
 from tasks.geometry.openings import openings
 from tasks.geometry.triangles import face_planes, welded
 from tasks.settings import Config, Whole
+from tasks.stage import Spread
 
 if TYPE_CHECKING:
     import trimesh
@@ -96,12 +100,50 @@ def asset_pieces(
     return _memo[key]
 
 
+@dataclasses.dataclass(frozen=True)
+class Uncut:
+    """An asset whose pieces may be wanted. glbs: Gives its GLB and that of its pieces from construction, where it has such; called only
+    when its pieces are not known yet. file: Its name in messages."""
+
+    asset_id: str
+    glbs: Callable[[], tuple[bytes, bytes | None]]
+    has_pieces: bool
+    file: str
+
+
+def cut_ahead(assets: Sequence[Uncut], config: PieceConfig, cache: MutableMapping[str, bytes], spread: Spread) -> None:
+    """Put pieces of assets into `cache` that `asset_pieces` would make one after another. An asset that cannot be read is left to it."""
+    missing: dict[str, tuple[bytes, bytes | None, PieceConfig, str]] = {}
+    for asset in assets:
+        key = _key(asset.asset_id, asset.has_pieces, config)
+        if (asset.asset_id, asset.has_pieces, config) not in _memo and key not in cache:
+            with contextlib.suppress(KeyError):  # a blob that is missing
+                missing[key] = (*asset.glbs(), config, asset.file)
+    for key, packed in zip(missing, spread(_packed_pieces, list(missing.values())), strict=True):
+        if packed is not None:
+            cache[key] = packed
+
+
+def _packed_pieces(work: tuple[bytes, bytes | None, PieceConfig, str]) -> bytes | None:
+    """Pieces of a GLB as bytes; None where it cannot be read or has no size."""
+    mesh, known, config, file = work
+    try:
+        return _packed(pieces(load_glb(mesh, file), None if known is None else load_glb(known, f"{file} pieces"), config))
+    except (InputError, ValueError):
+        return None
+
+
+def _key(asset_id: str, is_known: bool, config: PieceConfig) -> str:
+    """What a cache knows pieces by."""
+    return hashlib.sha256(f"pieces {asset_id} {is_known} {config!r}".encode()).hexdigest()
+
+
 def _cached(
     asset_id: str, parts: Callable[[], Sequence[trimesh.Trimesh]], known: Callable[[], Sequence[trimesh.Trimesh]] | None,
     config: PieceConfig, cache: MutableMapping[str, bytes],
 ) -> Pieces:  # fmt: skip
     """Pieces out of the cache, put there when they are not; a library's models are decomposed once, not once per run."""
-    key = hashlib.sha256(f"pieces {asset_id} {known is not None} {config!r}".encode()).hexdigest()
+    key = _key(asset_id, known is not None, config)
     if key not in cache:
         cache[key] = _packed(pieces(parts(), known() if known is not None else None, config))
     return _unpacked(cache[key])

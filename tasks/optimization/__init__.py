@@ -26,7 +26,7 @@ from tasks.optimization.default import Default
 from tasks.optimization.falling import let_fall
 from tasks.optimization.footing import NOTE as FOOTING_NOTE
 from tasks.optimization.footing import on_their_feet
-from tasks.optimization.interior import Interior, furnish
+from tasks.optimization.interior import Interior, cut_proposed, furnish
 from tasks.optimization.misfits import Fitting, fit_together, yielding
 from tasks.optimization.paper import Paper
 from tasks.optimization.parting import part_slight
@@ -82,6 +82,7 @@ def run(
     known = {asset.asset_id: asset for asset in assets}
     proposals, notes = propose(instances, selections, annotations, known)
     room = shells[0] if shells else None
+    cut_proposed(proposals, known, context.blobs, config.pieces, context.caches, context.spread)
     placed = (known, context.blobs, room, config.supports, config.pieces, context.caches)
     deepest = config.misfit_m if isinstance(config.method, Default) else np.inf  # the paper's method moves what it was given
     notable: dict[str, tuple[str, str]] = {}
@@ -105,9 +106,9 @@ def run(
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
-    certified, allowed = certify(bodies, poses, interior.shell, config.certificate), allowed_depths(interior, before)
+    certified, allowed = certify(bodies, poses, interior.shell, config.certificate, context.spread), allowed_depths(interior, before)
     if isinstance(config.method, Default) and config.method.lets_fall:
-        fall = let_fall(interior, poses, certified, bodies, allowed, config.method, config.supports, config.certificate)
+        fall = let_fall(interior, poses, certified, bodies, allowed, config.method, config.supports, config.certificate, context.spread)
         poses, certified = fall.poses, fall.certified
         if fall.moves:
             after = Colliders(interior.solids, interior.shell).penetrations(poses)

@@ -19,6 +19,7 @@ from tasks.optimization.engines.mujoco_engine import Mujoco, Simulation
 from tasks.optimization.engines.newton_engine import Newton
 from tasks.optimization.solids import ConvexParts, RigidBody
 from tasks.settings import Config, NonNegative, Positive
+from tasks.stage import Spread, in_turn
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,9 @@ class Certified:
     fallen_pose: Array | None = None
 
 
-def certify(bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], config: CertificateConfig) -> list[Certified]:
+def certify(
+    bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], config: CertificateConfig, spread: Spread = in_turn
+) -> list[Certified]:  # fmt: skip
     """Certificates of objects at `poses`, asset to world [m], shape (n, 4, 4), in the order given; MuJoCo's first, then
     those of its defaults and Newton's when these are asked.
 
@@ -117,10 +120,10 @@ def certify(bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexPar
     order = sorted(range(len(bodies)), key=lambda i: names[i])  # engines depend on it, certificates shall not
     rank = np.argsort(order)
     ordered = [bodies[i] for i in order], poses[order], shell, config.seconds
-    simulations = [mujoco_engine.simulate(*ordered, config.mujoco, config.nudge_m_s, nudged_sleep=config.nudge_sleep_m_s)]
+    simulations = [mujoco_engine.simulate(*ordered, config.mujoco, config.nudge_m_s, nudged_sleep=config.nudge_sleep_m_s, spread=spread)]
     if config.mujoco_defaults:
         defaults = dataclasses.replace(config.mujoco, cone="pyramidal", impratio=1.0, integrator="Euler")  # what is not set otherwise
-        simulations.append(mujoco_engine.simulate(*ordered, defaults, config.nudge_m_s, "mujoco_defaults", config.nudge_sleep_m_s))
+        simulations.append(mujoco_engine.simulate(*ordered, defaults, config.nudge_m_s, "mujoco_defaults", config.nudge_sleep_m_s, spread))
     if config.newton.python:
         simulations.append(newton_engine.simulate(*ordered, config.newton))
     certified = []

@@ -18,6 +18,7 @@ from tasks.optimization.search.trace import Move, moved_poses
 from tasks.optimization.solids import RigidBody
 from tasks.optimization.support.resting import MOST_LAID_M, lost_supports
 from tasks.optimization.support.supports import SupportConfig
+from tasks.stage import Spread, in_turn
 
 Array = NDArray[np.float64]
 
@@ -43,6 +44,7 @@ class Fall:
 def let_fall(
     interior: Interior, poses: Array, certified: list[Certified], bodies: Sequence[RigidBody],
     allowed: Mapping[tuple[str, str], float], method: Default, supports: SupportConfig, config: CertificateConfig,
+    spread: Spread = in_turn,
 ) -> Fall:  # fmt: skip
     """Objects that carry nothing and that MuJoCo sees move from `poses` [m], shape (n, 4, 4), put where they come to rest, and certified
     anew.
@@ -57,13 +59,13 @@ def let_fall(
         falling = _falling(interior, tried, allowed, method, supports)
         if not falling:
             break
-        tried = _certified_after(interior, start, [*tried.moves, *falling], bodies, config)
+        tried = _certified_after(interior, start, [*tried.moves, *falling], bodies, config, spread)
         if _unstable(tried.certified) - _unstable(start.certified):
             break  # something that stood leaned on it
         best = tried
     restless = {name for name, _ in best.moves} & _unstable(best.certified)
     if restless:
-        best = _certified_after(interior, start, [move for move in best.moves if move[0] not in restless], bodies, config)
+        best = _certified_after(interior, start, [move for move in best.moves if move[0] not in restless], bodies, config, spread)
         if _is_met(interior, best, allowed, method.slop_m):
             return start  # it fell to where another one went back to
     return best if _unstable(best.certified) < _unstable(start.certified) else start
@@ -82,15 +84,16 @@ def _is_met(interior: Interior, fall: Fall, allowed: Mapping[tuple[str, str], fl
 
 
 def _certified_after(
-    interior: Interior, start: Fall, moves: Sequence[tuple[str, Move]], bodies: Sequence[RigidBody], config: CertificateConfig
-) -> Fall:
+    interior: Interior, start: Fall, moves: Sequence[tuple[str, Move]], bodies: Sequence[RigidBody], config: CertificateConfig,
+    spread: Spread,
+) -> Fall:  # fmt: skip
     """Poses after moves from the start, as a replay of the trace has them, with certificates."""
     if not moves:
         return start
     parents = {name: carrier.parent_id for name, carrier in zip(interior.names, interior.carriers, strict=True)}
     moved = moved_poses(dict(zip(interior.names, start.poses, strict=True)), parents, moves)
     poses = np.array([moved[name] for name in interior.names])
-    return Fall(poses, tuple(moves), certify(bodies, poses, interior.shell, config))
+    return Fall(poses, tuple(moves), certify(bodies, poses, interior.shell, config, spread))
 
 
 def _falling(

@@ -12,13 +12,13 @@ from schemas.candidates import Asset
 from schemas.capture import Shell
 from schemas.errors import InputError
 from tasks.geometry.meshes import asset_surface, load_glb
-from tasks.geometry.pieces import PieceConfig, asset_pieces
+from tasks.geometry.pieces import PieceConfig, Uncut, asset_pieces, cut_ahead
 from tasks.geometry.transforms import is_rigid
 from tasks.optimization.proposals import Proposal
 from tasks.optimization.solids import ConvexParts, shell_solids
 from tasks.optimization.support.supports import Carrier, PlacedAsset, SupportConfig, find_carriers, is_covering
 from tasks.shell import floor_ring
-from tasks.stage import Caches
+from tasks.stage import Caches, Spread
 
 Array = NDArray[np.float64]
 
@@ -105,6 +105,20 @@ def furnish(
         shell=shell,
     )
     return interior, notes
+
+
+def cut_proposed(
+    proposals: Sequence[Proposal], assets: Mapping[str, Asset], blobs: Mapping[str, bytes], pieces: PieceConfig, caches: Caches,
+    spread: Spread,
+) -> None:  # fmt: skip
+    """Cut proposed assets into convex pieces, several at a time, before `furnish` needs these one after another."""
+    wanted = {p.asset_id: assets[p.asset_id] for p in proposals if p.asset_id in assets}
+    cut_ahead([_uncut(asset, blobs) for asset in wanted.values()], pieces, caches["tasks.geometry.pieces"], spread)
+
+
+def _uncut(asset: Asset, blobs: Mapping[str, bytes]) -> Uncut:
+    mesh, own = asset.mesh_blob, asset.pieces_blob
+    return Uncut(asset.asset_id, lambda: (blobs[mesh], blobs[own] if own else None), own is not None, f"{asset.name}.glb")
 
 
 def _placed(

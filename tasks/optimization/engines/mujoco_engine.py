@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from pydantic import Field
 from tasks.geometry.transforms import pose_from_quaternion_wxyz, quaternion_wxyz
 from tasks.optimization.solids import ConvexParts, RigidBody, mass_properties_of
 from tasks.settings import LISTED, Config, Count, NonNegative, Positive
+from tasks.stage import Spread, in_turn
 
 Array = NDArray[np.float64]
 LONGEST_TIMESTEP_S = 0.02
@@ -74,10 +75,10 @@ class Simulation:
 
 def simulate(
     bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], seconds: float, settings: Mujoco, nudge: float = 0.0,
-    name: str = "mujoco", nudged_sleep: float = 0.0,
+    name: str = "mujoco", nudged_sleep: float = 0.0, spread: Spread = in_turn,
 ) -> Simulation:  # fmt: skip
     """Objects left alone under gravity at `poses` [m], shape (n, 4, 4), in the order given; then again from there, with every free object
-    at a speed of `nudge` [m/s] in each direction of `NUDGES`, unless that is 0.
+    at a speed of `nudge` [m/s] in each direction of `NUDGES`, unless that is 0; one run after another, or as `spread` does them.
 
     nudged_sleep: after a nudge objects sleep below this speed [m/s] if it is above `settings.sleep_m_s`; where nothing ever sleeps, it
     does nothing.
@@ -86,36 +87,59 @@ def simulate(
     mujoco = mujoco_module()
     problems = [unfit(body) for body in bodies]
     pushes = [np.zeros(2), *(nudge * np.array(direction) for direction in (NUDGES if nudge > 0.0 else ()))]
+    sleeps = [settings.sleep_m_s, *[max(settings.sleep_m_s, nudged_sleep)] * (len(pushes) - 1)]
     while True:
         model = _model(bodies, poses, shell, problems, settings)
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         depth = _start_penetration(model, data, len(bodies))
         free = [i for i, body in enumerate(bodies) if not body.is_fixed and problems[i] is None]
-        ends: list[Array] = []
-        for push in pushes:
-            mujoco.mj_resetData(model, data)
-            if ends:
-                model.opt.sleep_tolerance = max(settings.sleep_m_s, nudged_sleep)
-            data.qvel.reshape(-1, 6)[:, :2] = push
-            failed, problem = _run(model, data, round(seconds / settings.timestep_s) if free else 0, settings)
-            if failed:
-                break
-            ends.append(_settled(poses, free, data))
-        if not failed:
+        steps = round(seconds / settings.timestep_s) if free else 0
+        runs = spread(_pushed, [_Push(model, push, sleep, steps, settings) for push, sleep in zip(pushes, sleeps, strict=True)])
+        failure = next((run for run in runs if run.failed), None)
+        if failure is None:
             break
-        for row in failed:
-            problems[free[row]] = problem
+        for row in failure.failed:
+            problems[free[row]] = failure.problem
+    ends = [_settled(poses, free, run.places) for run in runs]
     nudged = np.array(ends[1:]).reshape(len(ends) - 1, len(bodies), 4, 4)
     return Simulation(name, mujoco.__version__, seconds, ends[0], depth, tuple(problems), nudged)
 
 
-def _settled(poses: Array, free: Sequence[int], data: Any) -> Array:
-    """Poses, shape (n, 4, 4), of which those of the free bodies, by number, are as MuJoCo has them now [m]."""
+@dataclasses.dataclass(frozen=True)
+class _Push:
+    """A run of a model: from its start, with a speed along x and y for all that is free [m/s], shape (2,). sleep: The speed below which
+    things sleep [m/s]."""
+
+    model: Any
+    speed: Array
+    sleep: float
+    steps: int
+    settings: Mujoco
+
+
+class _Pushed(NamedTuple):
+    """How a run ended. places: Of what is free, position [m] and quaternion (w, x, y, z), shape (n, 7). failed, problem: As of `_run`."""
+
+    places: Array
+    failed: list[int]
+    problem: str
+
+
+def _pushed(push: _Push) -> _Pushed:
+    """Do a run."""
+    data = mujoco_module().MjData(push.model)
+    push.model.opt.sleep_tolerance = push.sleep
+    data.qvel.reshape(-1, 6)[:, :2] = push.speed
+    failed, problem = _run(push.model, data, push.steps, push.settings)
+    return _Pushed(np.array(data.qpos).reshape(-1, 7), failed, problem)
+
+
+def _settled(poses: Array, free: Sequence[int], places: Array) -> Array:
+    """Poses, shape (n, 4, 4), of which those of the free bodies, by number, are places [m], shape (k, 7)."""
     settled = np.array(poses, dtype=np.float64)
     for row, i in enumerate(free):
-        state = data.qpos[7 * row : 7 * row + 7]  # place, then quaternion (w, x, y, z)
-        settled[i] = pose_from_quaternion_wxyz(state[3:], state[:3])
+        settled[i] = pose_from_quaternion_wxyz(places[row, 3:].tolist(), places[row, :3].tolist())
     return settled
 
 
