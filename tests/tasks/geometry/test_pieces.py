@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+import pickle
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from tasks.furniture import generate
 from tasks.geometry.hulls import REDUCED, hull_of, is_within
 from tasks.geometry.mass import mass_properties
 from tasks.geometry.meshes import canonical, dump_glb, load_glb, surface_of
-from tasks.geometry.pieces import PieceConfig, _cached, asset_pieces, convex_hull, pieces
+from tasks.geometry.pieces import PieceConfig, Uncut, _cached, asset_pieces, convex_hull, cut_ahead, pieces
 from tasks.geometry.triangles import corner_normals
 from tasks.replica import scaled_parts
 from tasks.shell import floor_ring, room_shell
@@ -262,6 +264,31 @@ def test_pieces_out_of_the_cache_are_those_that_went_in() -> None:
         assert np.array_equal(a.vertices, b.vertices)
         assert np.array_equal(a.vertices, c.vertices)
         assert np.array_equal(a.faces, c.faces)
+
+
+def test_pieces_cut_ahead_are_those_cut_when_asked_for() -> None:
+    ell = trimesh.util.concatenate([box((1, 0.2, 0.2)), box((0.2, 0.2, 1))])
+    glb, own = dump_glb([ell], ["ell"]), dump_glb([box((1, 0.2, 0.2)), box((0.2, 0.2, 1))], ["a", "b"])
+
+    def gone() -> tuple[bytes, bytes | None]:
+        raise KeyError("blob")
+
+    def aside(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        return [pickle.loads(pickle.dumps(function(pickle.loads(pickle.dumps(item))))) for item in items]
+
+    ahead: dict[str, bytes] = {}
+    assets = [
+        Uncut("c" * 64, lambda: (glb, None), False, "c.glb"),
+        Uncut("d" * 64, lambda: (glb, own), True, "d.glb"),
+        Uncut("e" * 64, gone, False, "e.glb"),
+        Uncut("f" * 64, lambda: (b"no GLB", None), False, "f.glb"),
+    ]
+    cut_ahead(assets, CONFIG, ahead, aside)
+    asked: dict[str, bytes] = {}
+    _cached("c" * 64, lambda: load_glb(glb), None, CONFIG, asked)
+    _cached("d" * 64, lambda: load_glb(glb), lambda: load_glb(own), CONFIG, asked)
+    assert ahead == asked
+    cut_ahead(assets[:2], CONFIG, ahead, lambda function, items: [unasked() for _ in items])
 
 
 @pytest.mark.parametrize("points", [[[0, 0, 0]] * 3, [[0, 0, 0], [1e-7, 0, 0], [0, 1e-7, 0]], [[0, 0, 0], [1, 0, 0], [0.5, 0, 0]]])

@@ -123,7 +123,7 @@ def test_what_fell_meets_nothing_that_went_back(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(falling, "_falling", lambda *_: next(rounds, []))
     asked: list[list[Certified]] = []
 
-    def certify_so(bodies: object, poses: np.ndarray, shell: object, config: object) -> list[Certified]:
+    def certify_so(bodies: object, poses: np.ndarray, shell: object, config: object, spread: object) -> list[Certified]:
         """After the fall only the first one moves; once it went back, too."""
         made = [dataclasses.replace(row, is_stable_1cm=row.name != "0001", is_stable_5cm=row.name != "0001", is_stable_nudged=True)
                 for row in before.certified]  # fmt: skip

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from tasks.optimization.certificates import CertificateConfig, Certified, certif
 from tasks.optimization.engines import mujoco_engine
 from tasks.optimization.engines.mujoco_engine import NUDGES, Mujoco
 from tasks.optimization.solids import ConvexParts, RigidBody
+from tasks.stage import in_turn
 
 Array = np.ndarray
 Placed = tuple[RigidBody, Array]
@@ -94,6 +97,23 @@ def test_sleep_after_a_nudge_changes_no_verdict_on_an_edge() -> None:
     for engine in ("mujoco", "mujoco_defaults"):
         assert {row.is_stable_nudged for row in plain if row.engine == engine} == {True, False}
     hold_equal(fast, plain, most_apart_m=0.002)
+
+
+def elsewhere(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """What other processes make of copies of the items, the last one first."""
+    return [pickle.loads(pickle.dumps(function(pickle.loads(pickle.dumps(item))))) for item in reversed(items)][::-1]
+
+
+def test_runs_side_by_side_say_what_they_say_one_after_another() -> None:
+    thin = [(body(f"{i:02d}", (0.004 + 0.004 * i, 0.3, 0.5), 1.0), translation([i, 0.0, 0.0])) for i in range(5)]
+    bad = [(body("99", (0.2, 0.2, 0.2), float("nan")), translation([0.0, 3.0, 0.0]))]
+    placed = [*thin, *bad]
+    bodies, poses = [obj for obj, _ in placed], np.array([pose for _, pose in placed])
+    alone, aside = (certify(bodies, poses, (), FAST, spread) for spread in (in_turn, elsewhere))
+    assert {row.is_stable_nudged for row in alone} == {True, False}
+    for one, other in zip(alone, aside, strict=True):
+        for field in dataclasses.fields(Certified):
+            np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), err_msg=field.name)
 
 
 def test_only_nudges_sleep_early(monkeypatch: pytest.MonkeyPatch) -> None:
