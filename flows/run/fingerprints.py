@@ -90,7 +90,7 @@ def code_fingerprint(module: str) -> str:
     known = _remembered(store)
     if module not in known:
         known[module] = _fingerprint_of(module)
-        if _contents_of_rooms.__wrapped__() == _contents_of_rooms():  # no file was edited meanwhile
+        if _marks() == _marks_of_rooms():  # no file was edited meanwhile
             store[CODE_STORE] = json.dumps({"contents": _contents_of_rooms(), "modules": known}).encode()
     return known[module]
 
@@ -108,11 +108,20 @@ def _remembered(store: Mapping[str, bytes]) -> dict[str, str]:
     return {name: value for name, value in hashes.items() if re.fullmatch("[0-9a-f]{64}", value)}
 
 
+def _marks() -> dict[Path, tuple[int, int, int]]:
+    """Size and times of every file that may count: those that are edited change."""
+    paths = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*") if path.suffix in (".py", *DATA))
+    return {path: (stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns) for path in paths for stat in [path.stat()]}
+
+
+_marks_of_rooms = cache(_marks)
+"""Marks of the files as they are when this process reads them first."""
+
+
 @cache
 def _contents_of_rooms() -> str:
     """Hash of all that fingerprints of code are made of: every file that may count, Python's grammar, and how it is done."""
-    paths = [path for room in ROOMS for path in (ROOT / room).rglob("*") if path.suffix in (".py", *DATA)]
-    parts = [f"{path.relative_to(ROOT).as_posix()}={hashlib.sha256(path.read_bytes()).hexdigest()}" for path in sorted(paths)]
+    parts = [f"{path.relative_to(ROOT).as_posix()}={hashlib.sha256(path.read_bytes()).hexdigest()}" for path in _marks_of_rooms()]
     return digest(sys.version, hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), *parts)
 
 
@@ -126,7 +135,7 @@ def _fingerprint_of(module: str) -> str:
         if path is None or name in seen or name in MECHANISM:
             continue
         seen[name] = path
-        queue.extend(_imports(path, name))
+        queue.extend(_imports(path))
     folders = sorted({path.parent for path in seen.values() if path.parent.parent != ROOT})
     data = [p for folder in folders for p in sorted(folder.iterdir()) if p.suffix in DATA]
     parts = [f"{name}={_code_hash(path)}" for name, path in sorted(seen.items())]
@@ -150,7 +159,8 @@ def _tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
 
 
-def _imports(path: Path, module: str) -> list[str]:
+@cache
+def _imports(path: Path) -> list[str]:
     """Modules named by the import statements of a file, with the packages that they lie in."""
     names, sources = [], _sources(path)
     for node in ast.walk(_tree(path)):

@@ -80,8 +80,10 @@ def write_report(
     reader = lake.snapshot(snapshot_id)
     answers = answers_of(reader)
     rasters = rasters or pictures is not None
-    charts = draw_charts(answers, rasters)
-    scenes, tiles, strips, walks, drives = _pictured(lake, reader.snapshot_id, answers, look, workers, advance, expect)
+    charts: list[Picture] = []
+    scenes, tiles, strips, walks, drives = _pictured(
+        lake, reader.snapshot_id, answers, look, workers, advance, expect, meanwhile=lambda: charts.extend(draw_charts(answers, rasters))
+    )
     path = report_path(out)
     linked = _pages(lake, reader.snapshot_id, list(scenes), pages, workers) if pages is not None else {}
     content = ReportContent(
@@ -172,9 +174,9 @@ def draw_charts(answers: Answers, rasters: bool = True) -> list[Picture]:
 
 def _pictured(
     lake: Lake, snapshot_id: int, answers: Answers, look: PictureConfig, workers: int | None, advance: Callable[[str], None] | None,
-    expect: Callable[[int], None] | None = None,
+    expect: Callable[[int], None] | None, meanwhile: Callable[[], None],
 ) -> tuple[dict[str, ScenePictures | str], list[SceneTile], list[CandidateStrip], list[WalkStrip], list[DriveStill]]:  # fmt: skip
-    """Pictures of the first scenes, both galleries, and stills of walks and of carts."""
+    """Pictures of the first scenes, both galleries, and stills of walks and of carts; `meanwhile` is called while workers draw."""
     from flows.progress import Progress
     from flows.stats.pictures import forget_old
     from tasks.stats.thumbnails import scene_tile
@@ -198,7 +200,7 @@ def _pictured(
             if advance is not None:
                 advance(name)
 
-        made = carried_out(jobs, workers, tell)
+        made = carried_out(jobs, workers, tell, meanwhile)
     forget_old()
     tiles = [scene_tile(scene, made[scene]) for scene in shown.gallery]
     objects_shown, walks_shown, drives_shown = (

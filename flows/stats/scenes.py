@@ -199,16 +199,18 @@ def _drive_still(lake: Lake, reader: Reader, row: Mapping[str, Any]) -> DriveSti
     return DriveStill(*names, filmed.ending, picture)
 
 
-def carried_out(jobs: Mapping[Any, Job], workers: int | None, advance: Callable[[str], None]) -> dict[Any, Any]:
+def carried_out(
+    jobs: Mapping[Any, Job], workers: int | None, advance: Callable[[str], None], meanwhile: Callable[[], None] | None = None
+) -> dict[Any, Any]:
     """The result of each job by its key; of one that failed the reason, a text. One worker means this process.
 
-    What is remembered is looked up here: no worker is started for it.
+    What is remembered is looked up here: no worker is started for it. `meanwhile` is called once, while workers are at theirs.
     """
     made = {key: known for key, job in jobs.items() if (known := _remembered(job)) is not None}
     for key in made:
         advance(str(key))
     left = {key: job for key, job in jobs.items() if key not in made}
-    made |= _drawn(left, min(workers or min(os.cpu_count() or 1, 4), len(left)), advance)
+    made |= _drawn(left, min(workers or min(os.cpu_count() or 1, 4), len(left)), advance, meanwhile)
     return {key: made[key] for key in jobs}
 
 
@@ -224,14 +226,18 @@ def _remembered(job: Job) -> Any:
         return None
 
 
-def _drawn(jobs: Mapping[Any, Job], count: int, advance: Callable[[str], None]) -> dict[Any, Any]:
+def _drawn(jobs: Mapping[Any, Job], count: int, advance: Callable[[str], None], meanwhile: Callable[[], None] | None) -> dict[Any, Any]:
     """The result of each job, or the reason why there is none, by `count` workers."""
     if count <= 1:
+        if meanwhile is not None:
+            meanwhile()
         return {key: _result_or_reason(_call_here, key, job, advance) for key, job in jobs.items()}
     from flows.run.pool import WorkerPool
 
     with WorkerPool(count) as pool, ThreadPoolExecutor(count) as threads:
         made = threads.map(lambda entry: _result_or_reason(pool.call, entry[0], entry[1], advance), jobs.items())
+        if meanwhile is not None:
+            meanwhile()
         return dict(zip(jobs, made, strict=True))
 
 
