@@ -20,7 +20,7 @@ _LEAF = 4  # faces that lie together, of which none is looked at where their box
 _BITS = 10  # of each coordinate, for the order of faces
 _SLACK = 1e-9  # bounds are this much looser than the numbers: rounding rules nothing out
 _FLATTEST = 1e-7
-"""Height over longest edge below which a triangle is measured as its edges: what it is wider than these lies within the rounding of a scan."""
+"""Height over longest edge below which a triangle is measured as its edges: nobody scans, or builds, as finely as that."""
 
 
 def distances_within(vertices: ArrayLike, faces: ArrayLike, points: ArrayLike, reach: float) -> Array:
