@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from schemas.errors import InputError, LakeError
@@ -14,6 +15,9 @@ from warehouse.storage.files import Storage
 FOLDER = "blobs"
 
 _FRESH_SECONDS = 3600.0
+
+_WRITERS = 8
+"""Threads that wait for the store at a time: a disk syncs many files at once, and a store over the network answers each by itself."""
 
 
 class BlobStore(Mapping[str, bytes]):
@@ -30,7 +34,7 @@ class BlobStore(Mapping[str, bytes]):
         return name
 
     def put_all(self, blobs: Mapping[str, bytes]) -> None:
-        """Keep many blobs under the names that they have, for less than one by one.
+        """Keep many blobs under the names that they have, several at a time.
 
         Raises:
             LakeError: one has another content than its name says; the others may have been kept.
@@ -40,9 +44,10 @@ class BlobStore(Mapping[str, bytes]):
                 raise LakeError(f"blob {name[:12]} does not have the content that its name says")
         if blobs:
             self._prepare()
-            # Refreshed where they are there, so that a vacuum does not take them for garbage before a row names them.
-            self._storage.write_absent({_path(name): data for name, data in blobs.items()}, _FRESH_SECONDS)
-            self._known.update(blobs)
+        with ThreadPoolExecutor(_WRITERS, thread_name_prefix="blobs") as writers:
+            writes = [writers.submit(self._keep, name, data) for name, data in blobs.items()]
+        for write in writes:
+            write.result()
 
     def _keep(self, name: str, data: bytes) -> None:
         path = _path(name)

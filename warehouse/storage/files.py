@@ -13,7 +13,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -57,9 +57,6 @@ class Storage(Protocol):
 
         Unless `lasting`, a power failure may take the file's name away again until another file of its folder is written.
         """
-
-    def write_absent(self, files: Mapping[str, bytes], seconds: float) -> None:
-        """Write those of many files that are not there, as `write` writes each; those that are there are refreshed."""
 
     def move_in(self, file: Path, path: str) -> None:
         """Put a finished local file, however large, in the place of a file; it is gone from where it was."""
@@ -159,19 +156,6 @@ class LocalStorage:
         """See Storage. Temporary file, fsync, rename, fsync of the folder."""
         with in_words(f"{self.address}/{path}"), self._temporary(data) as temporary:
             self._placed(path, lambda target: os.replace(temporary, target), lasting)
-
-    def write_absent(self, files: Mapping[str, bytes], seconds: float) -> None:
-        """See Storage. All temporary files first, then their fsync, their names, and the folders' fsync: the first of many takes the
-        others along."""
-        absent = [path for path in files if not self.refresh(path, seconds)]
-        with in_words(self.address), contextlib.ExitStack() as made:
-            finished = {path: made.enter_context(self._temporary(files[path], synced=False)) for path in absent}
-            for temporary in finished.values():
-                _sync(temporary)
-            for path, temporary in finished.items():
-                self._placed(path, partial(os.replace, temporary), lasting=False)
-            for folder in {(self.folder / path).parent for path in absent}:
-                _sync(folder)
 
     def move_in(self, file: Path, path: str) -> None:
         """See Storage. fsync and rename, or a copy first where the file lies on another file system."""
@@ -315,8 +299,8 @@ class LocalStorage:
         return self.folder / path
 
     @contextlib.contextmanager
-    def _temporary(self, data: bytes, synced: bool = True) -> Iterator[Path]:
-        """A finished temporary file with `data`, removed at the end unless it was renamed. A power failure may take one not `synced`."""
+    def _temporary(self, data: bytes) -> Iterator[Path]:
+        """A finished temporary file with `data`, removed at the end unless it was renamed."""
         path = self.folder / TEMPORARY / new_token()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -328,8 +312,7 @@ class LocalStorage:
             with in_words(self.address), handle:
                 handle.write(data)
                 handle.flush()
-                if synced:
-                    os.fsync(handle.fileno())
+                os.fsync(handle.fileno())
             yield path
         finally:
             path.unlink(missing_ok=True)
@@ -343,7 +326,7 @@ class LocalStorage:
             target.parent.mkdir(parents=True, exist_ok=True)
             place(target)
         if lasting:
-            _sync(target.parent)
+            _sync_folder(target.parent)
 
     @contextlib.contextmanager
     def _exclusive(self) -> Iterator[None]:
@@ -379,9 +362,8 @@ class LocalStorage:
 _thread_lock = threading.Lock()
 
 
-def _sync(place: Path) -> None:
-    """Make a file or a folder last."""
-    descriptor = os.open(place, os.O_RDONLY)
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

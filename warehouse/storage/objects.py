@@ -9,8 +9,7 @@ import os
 import re
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from pathlib import Path
@@ -25,9 +24,6 @@ if TYPE_CHECKING:
     import pyarrow.fs
 
 T = TypeVar("T")
-
-_WRITERS = 8
-"""Threads that wait for the store at a time."""
 
 # Refused credentials of a role end within the hour; whoever gives them is asked again in time.
 _CREDENTIALS_LIFE = timedelta(minutes=15)
@@ -67,17 +63,6 @@ class ObjectStorage:
     def write(self, path: str, data: bytes, lasting: bool = True) -> None:
         """See Storage. A put is whole or not at all."""
         self._ask(path, lambda store: store.put(path, data, use_multipart=False))
-
-    def write_absent(self, files: Mapping[str, bytes], seconds: float) -> None:
-        """See Storage. Several at a time: a store over the network answers each by itself."""
-        with ThreadPoolExecutor(_WRITERS, thread_name_prefix="objects") as writers:
-            writes = [writers.submit(self._write_absent, path, data, seconds) for path, data in files.items()]
-        for write in writes:
-            write.result()
-
-    def _write_absent(self, path: str, data: bytes, seconds: float) -> None:
-        if not self.refresh(path, seconds):
-            self.write(path, data)
 
     def move_in(self, file: Path, path: str) -> None:
         """See Storage. An upload in parts, which are one object when the last is there and none before."""
