@@ -8,10 +8,14 @@ Whatever people hand in (scans, libraries, settings, batches, datasets, exports 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import errno
 import os
+import posixpath
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
 from functools import partial
 from io import BufferedReader
 from pathlib import Path
@@ -22,6 +26,77 @@ from schemas.errors import InputError
 _KINDS = {
     stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFDIR: "a folder",
 }  # fmt: skip
+
+
+_LONGEST_NAME = 255  # bytes, on about every file system
+
+
+@dataclasses.dataclass(frozen=True, order=True)
+class HeldPath:
+    """A path in a folder of files that are held in memory and written nowhere: what `Path` is to those who look into a folder.
+
+    path: From the folder, forward slashes; empty for itself. contents: Of all its files, by path.
+    """
+
+    path: str
+    contents: Mapping[str, bytes] = dataclasses.field(compare=False, repr=False)
+
+    @classmethod
+    def folder(cls, contents: Mapping[str, bytes]) -> HeldPath:
+        """The folder of some files.
+
+        Raises:
+            OSError: such files could not be written: a name is too long, or a file lies below another.
+        """
+        for path in contents:
+            names = path.split("/")
+            if any(len(os.fsencode(name)) > _LONGEST_NAME for name in names):
+                raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG), path)
+            if any("/".join(names[:count]) in contents for count in range(1, len(names))):
+                raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), path)
+        return cls("", contents)
+
+    def __truediv__(self, name: str) -> HeldPath:
+        joined = posixpath.normpath(posixpath.join(self.path, name))
+        return HeldPath("" if joined == "." else joined, self.contents)
+
+    @property
+    def name(self) -> str:
+        """See Path."""
+        return posixpath.basename(self.path)
+
+    @property
+    def suffix(self) -> str:
+        """See Path."""
+        return Path(self.name).suffix
+
+    @property
+    def parent(self) -> HeldPath:
+        """See Path."""
+        return HeldPath(posixpath.dirname(self.path), self.contents)
+
+    def is_file(self) -> bool:
+        """See Path."""
+        return self.path in self.contents
+
+    def is_dir(self) -> bool:
+        """See Path."""
+        return any(path.startswith(f"{self.path}/" if self.path else "") for path in self.contents)
+
+    def glob(self, pattern: str) -> Iterator[HeldPath]:
+        """Files directly in this folder whose names match, in no order."""
+        for path in self.contents:
+            if posixpath.dirname(path) == self.path and fnmatchcase(posixpath.basename(path), pattern):
+                yield HeldPath(path, self.contents)
+
+    def read_bytes(self) -> bytes:
+        """See Path."""
+        if self.path not in self.contents:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.path)
+        return self.contents[self.path]
+
+
+AnyPath = Path | HeldPath
 
 
 def open_file(path: Path, name: str, most_bytes: int) -> BufferedReader:
@@ -41,7 +116,7 @@ def open_file(path: Path, name: str, most_bytes: int) -> BufferedReader:
         raise
 
 
-def read_file(path: Path, name: str, most_bytes: int, remedy: str = "check the path and its permissions", magic: bytes = b"") -> bytes:
+def read_file(path: AnyPath, name: str, most_bytes: int, remedy: str = "check the path and its permissions", magic: bytes = b"") -> bytes:
     """The content of a file. magic: What it begins with; of a file that does not, no more is read.
 
     Raises:
@@ -49,9 +124,16 @@ def read_file(path: Path, name: str, most_bytes: int, remedy: str = "check the p
             `magic`; says `remedy` where it cannot be read.
     """
     try:
+        if isinstance(path, HeldPath):
+            held = path.read_bytes()
+            if len(held) > most_bytes:
+                raise too_large(name, str(len(held)), most_bytes)
+            if not held.startswith(magic):
+                raise _other(name, magic)
+            return held
         with open_file(path, name, most_bytes) as file:
             if file.read(len(magic)) != magic:
-                raise InputError(name, "content", f"does not begin with {magic.decode()!r}", "is it the right file?")
+                raise _other(name, magic)
             file.seek(0)
             data = file.read(os.fstat(file.fileno()).st_size)
             while more := file.read(1 << 20):  # it grows, or the kernel makes it while it is read and says that it is empty
@@ -63,7 +145,7 @@ def read_file(path: Path, name: str, most_bytes: int, remedy: str = "check the p
         raise InputError(name, "file", f"cannot be read ({error.strerror or error})", remedy) from error
 
 
-def is_there(path: Path) -> bool:
+def is_there(path: AnyPath) -> bool:
     """Whether a path that some file names is that of a regular file. A name that no file can have, too long or with a zero, is of none."""
     try:
         return path.is_file()
@@ -117,6 +199,10 @@ def _check(status: os.stat_result, name: str, most_bytes: int) -> None:
         raise InputError(name, "file", f"is {kind}, not a regular file", "put the file itself in its place")
     if status.st_size > most_bytes:
         raise too_large(name, str(status.st_size), most_bytes)
+
+
+def _other(name: str, magic: bytes) -> InputError:
+    return InputError(name, "content", f"does not begin with {magic.decode()!r}", "is it the right file?")
 
 
 def too_large(name: str, size: str, most_bytes: int) -> InputError:

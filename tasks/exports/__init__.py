@@ -7,6 +7,7 @@ Nothing is exported unseen: every export is read back and checked, and `export_c
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import PurePosixPath
 
 from schemas.candidates import Asset
@@ -47,6 +48,9 @@ def run(
     checks: list[ExportCheck] = []
     named = {navmesh.navmesh_blob: context.blobs[navmesh.navmesh_blob] for navmesh in navmeshes}
     scene = ExportedScene(replica, navmeshes, episodes, named, config)
+    for prepare in [made.prepare for made in map(partial(member, FORMATS), config.formats) if made.prepare is not None]:
+        for body in replica.bodies:
+            prepare(body.shape)
     work = [(format_, scene) for format_ in config.formats]
     for format_, made in zip(config.formats, context.spread(_made, work), strict=True):
         passed = not any(finding.is_error for finding in made.findings)

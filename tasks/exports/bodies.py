@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
-from collections.abc import Mapping, MutableMapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +29,15 @@ from tasks.words import latin
 if TYPE_CHECKING:
     import trimesh
 
+T = TypeVar("T")
+
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
     """An asset at one scale, in its own frame [m]: +Z up, origin at the bottom center.
 
-    `glb` is unscaled, `parts` and `hulls` are scaled. `properties` are those of the hulls' union.
+    `glb` is unscaled, `parts` and `hulls` are scaled. `properties` are those of the hulls' union. `known` has what was made of the shape
+    by `once`.
     """
 
     name: str
@@ -45,6 +48,14 @@ class Shape:
     hulls: tuple[Hull, ...]
     method: Method
     properties: MassProperties
+    known: dict[str, Any] = dataclasses.field(default_factory=dict, init=False, compare=False, repr=False)  # of no shape but this one
+
+    def once(self, what: str, make: Callable[[], T]) -> T:
+        """What several formats make of a shape alike, made for the first of them. The others must leave it as it is."""
+        if what not in self.known:
+            self.known[what] = make()
+        made: T = self.known[what]
+        return made
 
     @property
     def bounds(self) -> NDArray[np.float64]:

@@ -7,15 +7,16 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
+from schemas.files import AnyPath, HeldPath
 from tasks.exports.files import Export, File, write_folder
 from tasks.exports.findings import Finding
 from tasks.families import part
 
 if TYPE_CHECKING:
     from schemas.navigation import Episode, Navmesh
-    from tasks.exports.bodies import Replica
+    from tasks.exports.bodies import Replica, Shape
     from tasks.exports.config import ExportsConfig
 
 
@@ -63,6 +64,9 @@ class ExportFormat:
     package: One file of all files of a scene, by path, given which of them is opened; ValueError where that cannot be.
     suffix: Of the name of such a package.
     is_nested: Names of objects are paths: what lies below an object belongs to it.
+    prepare: Makes what other formats have of a shape, too, and keeps it with the shape, before the formats are divided among processes.
+    is_held: The gate takes files that are held in memory, `schemas.files.HeldPath`, as it takes those of a folder: where a scene has
+    many small ones, writing them to be read at once takes longer than to check them.
 
     What an exported scene says of the objects in it only `metascenes explain` asks: `places` in the format's package.
     """
@@ -78,6 +82,8 @@ class ExportFormat:
     package: Callable[[Mapping[str, bytes], str], bytes] | None = None
     suffix: str = ""
     is_nested: bool = False
+    prepare: Callable[[Shape], object] | None = None
+    is_held: bool = False
 
     @property
     def rules(self) -> tuple[str, ...]:
@@ -97,7 +103,15 @@ class ExportFormat:
 
 
 def checked(files: Sequence[File], format_: ExportFormat, opened: str) -> Export:
-    """Files, written to a temporary folder where the format's gate looks at the path that a simulator opens."""
+    """Files, and what the format's gate says of the path that a simulator opens. It looks at them in memory where it can, else in a
+    temporary folder.
+
+    Raises:
+        OSError: the files cannot be written.
+    """
+    if format_.is_held:
+        check: Callable[[AnyPath], Sequence[Finding]] = cast(Any, format_.check)
+        return Export(files, format_.rules, check(HeldPath.folder({file.path: file.data for file in files}) / opened))
     with tempfile.TemporaryDirectory(prefix="export-") as place:
         root = Path(place).resolve()
         write_folder(root, {file.path: file.data for file in files})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import is_there, read_file
+from schemas.files import AnyPath, is_there, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.usd.prims import dent
 from tasks.exports.wavefront import load_obj
@@ -30,7 +30,7 @@ _FARTHEST_M = 1e6  # what is computed of positions still has digits that matter
 _PRODUCTS = 20_000_000  # vertices times triangles that are compared: 160 MB
 
 
-def named_mesh(path: Path, where: str, name: str, known: dict[Any, Any]) -> tuple[list[Finding], Any]:
+def named_mesh(path: AnyPath, where: str, name: str, known: dict[Any, Any]) -> tuple[list[Finding], Any]:
     """What is wrong with a mesh file that the file at `path` names, and its positions and triangles where nothing is.
 
     known: What was read before, by path, which grows.
@@ -52,7 +52,7 @@ def named_mesh(path: Path, where: str, name: str, known: dict[Any, Any]) -> tupl
     return [Finding("closed_paths", where, lost) for lost in known[target, "materials"]], loaded
 
 
-def _lost(path: Path, name: str) -> list[str]:
+def _lost(path: AnyPath, name: str) -> list[str]:
     """Files that an OBJ and its materials name, and that are not there."""
     lost = []
     try:
@@ -71,7 +71,7 @@ def _lost(path: Path, name: str) -> list[str]:
     return lost
 
 
-def hollow(path: Path, loaded: Any, known: dict[Any, Any]) -> tuple[bool, float]:
+def hollow(path: AnyPath, loaded: Any, known: dict[Any, Any]) -> tuple[bool, float]:
     """Whether a mesh that was read is flat, and how far it lies inside its own hull [m]. known: As `named_mesh` has it."""
     if (path, "gap") not in known:
         vertices, faces = loaded
@@ -82,7 +82,7 @@ def hollow(path: Path, loaded: Any, known: dict[Any, Any]) -> tuple[bool, float]
     return verdict
 
 
-def _read(path: Path) -> Any:
+def _read(path: AnyPath) -> Any:
     """Positions [m], shape (n, 3), and triangles, shape (m, 3), of a mesh file, or what is wrong with it."""
     import trimesh
 

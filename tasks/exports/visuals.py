@@ -48,6 +48,10 @@ class Visual:
 
 def visuals_of(shape: Shape) -> list[Visual]:
     """Parts of a shape grouped by texture; all parts without one go together."""
+    return shape.once("visuals", lambda: _grouped(shape))
+
+
+def _grouped(shape: Shape) -> list[Visual]:
     images = node_textures(shape.glb, f"{shape.asset.name}.glb")
     plain: list[trimesh.Trimesh] = []
     textured: dict[Texture, list[trimesh.Trimesh]] = {}

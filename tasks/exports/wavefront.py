@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -39,10 +40,24 @@ class Painted:
     color: tuple[float, ...]
     texture: Texture | None
 
+    @property
+    def can_be_seen(self) -> bool:
+        """Whether it has an area."""
+        return surface_area(self.vertices, self.faces) > 1e-12
+
+    @cached_property
+    def geometry(self) -> bytes:
+        """The OBJ file without a material."""
+        return _geometry(self.vertices, self.faces, self.uv)
+
+    def obj(self, library: str | None = None) -> bytes:
+        """The OBJ file. `library`: As of `dump_obj`."""
+        return _head(library) + self.geometry
+
 
 def painted_shape(shape: Shape) -> list[Painted]:
     """What is seen of a shape, in its own frame; what has no area cannot be seen."""
-    return [mesh for visual in visuals_of(shape) for mesh in _painted(visual) if surface_area(mesh.vertices, mesh.faces) > 1e-12]
+    return shape.once("painted", lambda: [mesh for visual in visuals_of(shape) for mesh in _painted(visual) if mesh.can_be_seen])
 
 
 def painted_part(part: trimesh.Trimesh) -> list[Painted]:
@@ -59,8 +74,17 @@ def dump_obj(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike | None = None,
 
     `library`: MTL file beside it, whose only material is `look`.
     """
-    lines = [f"mtllib {library}\nusemtl look"] if library else []
-    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in _rounded(vertices)]
+    return _head(library) + _geometry(vertices, faces, uv)
+
+
+def _head(library: str | None) -> bytes:
+    """What an OBJ file begins with."""
+    return f"mtllib {library}\nusemtl look\n".encode() if library else b""
+
+
+def _geometry(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike | None) -> bytes:
+    """What an OBJ file has of a mesh, whatever material it names."""
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in _rounded(vertices)]
     if uv is not None:
         lines += [f"vt {u!r} {v!r}" for u, v in _rounded(uv)]
         lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in (np.asarray(faces) + 1).tolist()]
@@ -102,12 +126,27 @@ def obj_files(files: dict[str, bytes], name: str, meshes: Sequence[Painted]) -> 
     for index, mesh in enumerate(meshes):
         part = f"{name}_part_{index:02d}"
         image = mesh.texture.file if mesh.texture is not None else None
-        files[f"meshes/{part}.obj"] = dump_obj(mesh.vertices, mesh.faces, mesh.uv, f"{part}.mtl")
+        files[f"meshes/{part}.obj"] = mesh.obj(f"{part}.mtl")
         files[f"meshes/{part}.mtl"] = dump_mtl(mesh.color, image)
         if mesh.texture is not None:
             files[f"meshes/{mesh.texture.file}"] = mesh.texture.data
         seen.append((f"meshes/{part}.obj", mesh.color))
     return tuple(seen)
+
+
+def prepare(shape: Shape) -> None:
+    """Make the texts that all formats with OBJ files have of a shape."""
+    for mesh in painted_shape(shape):
+        mesh.geometry  # noqa: B018  # is kept
+    hull_files(shape)
+
+
+def hull_files(shape: Shape) -> dict[str, bytes]:
+    """OBJ files of a shape's convex pieces, below `meshes/`, by path."""
+    return shape.once(
+        "hull_files",
+        lambda: {f"meshes/{shape.name}_hull_{i:02d}.obj": dump_obj(hull.vertices, hull.faces) for i, hull in enumerate(shape.hulls)},
+    )
 
 
 def as_png(texture: Texture) -> tuple[str, bytes]:

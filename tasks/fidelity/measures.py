@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.fidelity.agreement import NO_SAMPLES, SurfaceSamples, distances, joined, sampled
+from tasks.fidelity.agreement import NO_SAMPLES, THRESHOLDS_M, SurfaceSamples, distances, joined, sampled
 from tasks.fidelity.configuration import FidelityConfig
 from tasks.fidelity.marked_points import OBJECT, SHELL, UNLABELED, MarkedPoints
 from tasks.fidelity.replicas import ReplicaRays, ReplicaSurface
@@ -30,7 +30,7 @@ OWN_M = 0.05
 @dataclasses.dataclass(frozen=True)
 class ObjectAgreement:
     """Samples of an object's scanned surface with their distance to its own asset (infinite without one), and samples of the
-    asset's visible surface with their distance to the object's scanned surface, both [m].
+    asset's visible surface with their distance to the object's scanned surface, both [m] and infinite where no threshold reaches.
 
     empty, foreign: which of the asset's samples lie where the scan saw nothing, and in other objects.
     """
@@ -49,7 +49,8 @@ class SceneAgreement:
     """All objects' samples pooled, and those of the shell.
 
     object_to_any, seen_to_any: distances of objects' samples to any asset, and of assets' to any object [m]. shell,
-    shell_to_replica: scanned floor, walls and ceiling. wall, wall_to_scan: what the cameras could see of the replica's.
+    shell_to_replica: scanned floor, walls and ceiling. wall, wall_to_scan: what the cameras could see of the replica's. Distances to
+    the scan's surface are infinite where no threshold reaches.
     unlabeled: samples of no instance. marked: samples of the scan with their distance to anything in the replica.
     """
 
@@ -107,8 +108,9 @@ def agreement(
     objects, shell = union_of(list(scan.objects.values())), scan.shell
     asked = [pooled.points, wall.points, samples.whole.points]
     ends = [len(points) for points in asked]
-    seen_to_any, _, whole_to_objects = _split(distances(np.concatenate(asked), objects), ends)
-    seen_to_shell, wall_to_scan, whole_to_shell = _split(distances(np.concatenate(asked), shell), ends)
+    reach = _reach(config)
+    seen_to_any, _, whole_to_objects = _split(distances(np.concatenate(asked), objects, reach), ends)
+    seen_to_shell, wall_to_scan, whole_to_shell = _split(distances(np.concatenate(asked), shell, reach), ends)
     unlabeled = samples.whole[np.minimum(whole_to_objects, whole_to_shell) > config.label_reach_m]
     empty = _empty(pooled.points, np.minimum(seen_to_any, seen_to_shell), scan.whole, scan_rays, cameras, config)
 
@@ -118,7 +120,7 @@ def agreement(
     to_shell = _split(distances(np.concatenate(asked), replica.shell), ends)
     nearest = np.concatenate([np.minimum(a, b) for a, b in zip(to_assets, to_shell, strict=True)])
     parts = np.repeat(np.array([OBJECT, SHELL, UNLABELED], dtype=np.uint8), ends)
-    rows = _by_object(scan, samples, assets, seen, seen_to_any, empty)
+    rows = _by_object(scan, samples, assets, seen, seen_to_any, empty, reach)
     return SceneAgreement(
         objects=rows, object_to_any=to_assets[0], seen_to_any=seen_to_any, shell=samples.shell, shell_to_replica=to_shell[1],
         wall=wall, wall_to_scan=wall_to_scan, unlabeled=unlabeled, marked=MarkedPoints(np.concatenate(asked), nearest, parts),
@@ -126,10 +128,16 @@ def agreement(
     )  # fmt: skip
 
 
+def _reach(config: FidelityConfig) -> float:
+    """Beyond this distance nothing is asked of the scan's surface, nor of an asset by its own object [m]: more than any threshold."""
+    return 2.0 * max(*THRESHOLDS_M, OWN_M, config.label_reach_m, config.empty_margin_m)
+
+
 def _by_object(
-    scan: ScannedSurface, samples: ScanSamples, assets: dict[str, Surface], seen: dict[str, SurfaceSamples], seen_to_any: Array, empty: Mask
-) -> dict[str, ObjectAgreement]:
-    """Every object with its own asset."""
+    scan: ScannedSurface, samples: ScanSamples, assets: dict[str, Surface], seen: dict[str, SurfaceSamples], seen_to_any: Array,
+    empty: Mask, reach: float,
+) -> dict[str, ObjectAgreement]:  # fmt: skip
+    """Every object with its own asset. reach: Distances of more [m] may be infinite."""
     ends = [len(s.points) for s in seen.values()]
     any_of = dict(zip(seen, _split(seen_to_any, ends), strict=True))
     empty_of = dict(zip(seen, _split(empty, ends), strict=True))
@@ -139,9 +147,10 @@ def _by_object(
             nothing = np.zeros(0, dtype=bool)
             rows[name] = ObjectAgreement(own, np.full(len(own.points), np.inf), NO_SAMPLES, np.zeros(0), nothing, nothing, False)
             continue
-        to_scan = distances(seen[name].points, scan.objects[name])
+        to_scan = distances(seen[name].points, scan.objects[name], reach)
         foreign = (to_scan > OWN_M) & (any_of[name] <= OWN_M)
-        rows[name] = ObjectAgreement(own, distances(own.points, assets[name]), seen[name], to_scan, empty_of[name], foreign, True)
+        to_asset = distances(own.points, assets[name], reach)
+        rows[name] = ObjectAgreement(own, to_asset, seen[name], to_scan, empty_of[name], foreign, True)
     return rows
 
 
@@ -150,7 +159,7 @@ def _empty(points: Array, apart: Array, whole: Surface, scan: RayScene, cameras:
     empty = apart > config.empty_margin_m
     empty[empty] = seen_past(points[empty], scan, cameras, config.empty_margin_m)
     if empty.any():  # few are left, and samples of unlabeled surface lie too far apart to tell
-        empty[empty] = distances(points[empty], whole) > config.empty_margin_m
+        empty[empty] = distances(points[empty], whole, _reach(config)) > config.empty_margin_m
     return empty
 
 

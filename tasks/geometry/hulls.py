@@ -136,17 +136,17 @@ def complexity(hull: Hull, coplanar: float = COPLANAR) -> Complexity:
 
 def is_within(hull: Hull, limits: Complexity = LIMITS) -> bool:
     """Whether engines take a hull as it is."""
-    return len(hull.vertices) <= _few(limits) or complexity(hull).within(limits)
+    return are_few(len(hull.vertices), limits) or complexity(hull).within(limits)
 
 
 def stays_within(hull: Hull, limits: Complexity) -> bool:
     """Whether engines take a hull as it is at other scales along its axes, too."""
-    return len(hull.vertices) <= _few(limits) or all(complexity(hull, measure).within(limits) for measure in _SCALED)
+    return are_few(len(hull.vertices), limits) or all(complexity(hull, measure).within(limits) for measure in _SCALED)
 
 
-def _few(limits: Complexity) -> int:
-    """As many vertices, n, keep all limits however they lie: they have no more than 2 n - 4 faces."""
-    return min(limits.vertices, limits.polygons // 2 + 2, limits.corners, limits.meeting)
+def are_few(count: int, limits: Complexity = LIMITS) -> bool:
+    """Whether the hull of so many points, n, keeps all limits however they lie: it has no more than 2 n - 4 faces."""
+    return count <= min(limits.vertices, limits.polygons // 2 + 2, limits.corners, limits.meeting)
 
 
 def _polygon_of(hull: Hull, coplanar: float) -> NDArray[np.int64]:
@@ -193,7 +193,7 @@ def reduced(hull: Hull, limits: Complexity = REDUCED) -> Hull:
             break
         farthest = int(beyond.argmax())
         left[farthest] = False
-        if len(chosen) < _few(limits) or stays_within(_of(cloud, [*chosen, farthest]), limits):
+        if are_few(len(chosen) + 1, limits) or stays_within(_of(cloud, [*chosen, farthest]), limits):
             chosen.append(farthest)
         else:
             refused += 1

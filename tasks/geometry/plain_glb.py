@@ -165,9 +165,10 @@ def _array(document: Mapping[str, Any], binary: bytes, index: int, kind: Mapping
         raise ValueError("no accessor of ours")
     view = document["bufferViews"][number]
     start, long = view["byteOffset"], view["byteLength"]
+    stated = {key: value for key, value in view.items() if key != "target"}  # what it holds, which changes nothing of how it is read
     bytes_wide = np.dtype(dtype).itemsize * width
     is_ours = {key: value for key, value in accessor.items() if key not in ("bufferView", "count", "max", "min")} == kind
-    if not is_ours or view != {"buffer": 0, "byteOffset": start, "byteLength": long} or type(start) is not int or type(long) is not int:
+    if not is_ours or stated != {"buffer": 0, "byteOffset": start, "byteLength": long} or type(start) is not int or type(long) is not int:
         raise ValueError("no accessor of ours")
     if long != count * bytes_wide or start < 0 or start + long > len(binary):
         raise ValueError("its numbers do not lie within its view")

@@ -73,9 +73,13 @@ def openness(faces: ArrayLike) -> str | None:
 
 def spread(vertices: Array, faces: Integers, count: int, rng: np.random.Generator) -> tuple[Integers, Array]:
     """Places spread evenly over a surface: face, shape (count,), sorted, and barycentric weights of its corners, shape (count, 3)."""
-    area = np.linalg.norm(face_crosses(vertices, faces), axis=1)
+    return spread_by(np.linalg.norm(face_crosses(vertices, faces), axis=1), count, rng)
+
+
+def spread_by(area: Array, count: int, rng: np.random.Generator) -> tuple[Integers, Array]:
+    """As `spread`, given the area of each face in any unit, shape (m,)."""
     total = area.sum()
-    area, total = (area, total) if total > 0 else (np.ones(len(faces)), float(len(faces)))
+    area, total = (area, total) if total > 0 else (np.ones(len(area)), float(len(area)))
     steps = (np.arange(count) + rng.random(count)) / count * total
     face = np.minimum(np.searchsorted(np.cumsum(area), steps), len(area) - 1)
     u, v = rng.random((2, count))

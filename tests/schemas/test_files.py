@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import InputError
-from schemas.files import check_file, open_file, read_file
+from schemas.files import AnyPath, HeldPath, check_file, is_there, open_file, read_file
+from tasks.exports.files import write_folder
 
 
 def pipe(path: Path) -> None:
@@ -105,3 +106,45 @@ def test_settings_that_are_endless_are_refused_by_the_command_line(tmp_path: Pat
     ended = subprocess.run([*command, "/dev/zero"], capture_output=True, text=True)
     assert ended.returncode == 2
     assert "zero: file: is a device, not a regular file" in ended.stderr
+
+
+HELD = {"a.obj": b"v 1", "meshes/b.obj": b"v 22", "meshes/deep/c.obj": b""}
+NAMES = (*HELD, "./a.obj", "b.obj", "meshes", "", "meshes/../a.obj", "../a.obj", "/a.obj", "no.obj", "x" * 300, "a\0b")
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("start", ["", "meshes"])
+def test_files_in_memory_are_found_read_and_refused_as_those_on_disk(tmp_path: Path, name: str, start: str) -> None:
+    write_folder(tmp_path, HELD)
+    folder, held = tmp_path / start, HeldPath.folder(HELD) / start
+    assert is_there(held / name) == is_there(folder / name)
+    for most in (3, 4):
+        on_disk, in_memory = (told(path, most) for path in (folder / name, held / name))
+        assert on_disk == in_memory or not is_there(folder / name)
+        assert is_there(folder / name) or in_memory.startswith("file: file: cannot be read (No such file")
+    assert {path.name for path in held.glob("*.obj")} == {path.name for path in folder.glob("*.obj")}
+    assert held.is_dir()
+    assert not (held / "a.obj").is_dir()
+
+
+def told(path: AnyPath, most_bytes: int) -> str:
+    """What reading a file comes to."""
+    try:
+        return str(read_file(path, "file", most_bytes, magic=b"v"))
+    except (InputError, ValueError) as error:
+        return str(error)
+
+
+def test_a_file_in_memory_has_the_name_ending_and_folder_of_one_on_disk() -> None:
+    held = HeldPath.folder(HELD) / "meshes/deep/c.obj"
+    assert (held.name, held.suffix, held.parent.name, held.parent.parent.parent.name) == ("c.obj", ".obj", "deep", "")
+    assert held == HeldPath.folder(HELD) / "meshes" / "deep" / "c.obj"
+    assert held != held.parent
+
+
+@pytest.mark.parametrize("contents", [{"x" * 256: b""}, {"a": b"", "a/b": b""}, {"a": b"", "a/b/c": b""}])
+def test_files_in_memory_that_no_folder_could_hold_are_refused(tmp_path: Path, contents: dict[str, bytes]) -> None:
+    with pytest.raises(OSError, match=r"too long|Not a directory"):
+        HeldPath.folder(contents)
+    with pytest.raises(OSError, match=r"too long|Not a directory|exists"):
+        write_folder(tmp_path, contents)

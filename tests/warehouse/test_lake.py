@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -513,6 +513,35 @@ def test_many_blobs_are_kept_as_one_by_one_and_none_under_a_false_name(lake: Lak
     with pytest.raises(LakeError, match="does not have the content"):
         lake.blobs.put_all({false: b"meant"})
     assert false not in lake.blobs
+
+
+def test_no_blob_of_many_has_its_name_before_it_lasts(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the order of the system's calls: contents, their fsync, the name, the fsync of its folder."""
+    blobs = {f"{hashlib.sha256(data).hexdigest()}.bin": data for data in (str(k).encode() * 100 for k in range(30))}
+    synced: set[str] = set()
+    named: dict[str, str] = {}
+
+    def fsync(descriptor: int, real: Callable[[int], None] = os.fsync) -> None:
+        real(descriptor)
+        synced.add(os.readlink(f"/proc/self/fd/{descriptor}"))
+
+    def replace(source: Path, target: Path, real: Callable[..., None] = os.replace) -> None:
+        if target.parent.parent.parent.name == "blobs":
+            assert source.read_bytes() == blobs[target.name]
+            assert str(source.resolve()) in synced, "what has a name could be lost"
+            named[target.name] = str(target.parent.resolve())
+            synced.discard(named[target.name])
+        real(source, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", replace)
+    lake.blobs.put_all(blobs)
+    assert set(named) == set(blobs)
+    assert set(named.values()) <= synced, "a name could be lost"
+    assert list((Path(lake.address) / "tmp").iterdir()) == []
+    named.clear()
+    lake.blobs.put_all(blobs)
+    assert not named, "what is there is not written again"
 
 
 def test_one_blob_of_many_that_cannot_be_kept_is_told(lake: Lake) -> None:

@@ -17,7 +17,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from schemas.navigation import Episode, Navmesh
@@ -29,10 +29,11 @@ from tasks.exports.gltf import aimed_glb, scaled_glb
 from tasks.exports.habitat.dataset import dataset_files, describe
 from tasks.exports.habitat.json_files import dump_json, dump_json_gz
 from tasks.exports.habitat.library import LIGHTS
+from tasks.exports.habitat.poses import numbers, position, positions, rotation, rotations, unit
 from tasks.exports.lighting import lamps
 from tasks.geometry.meshes import dump_glb
 from tasks.geometry.pieces import Hull
-from tasks.geometry.transforms import Z_UP_TO_Y_UP, quaternion_wxyz, quaternion_xyzw, to_y_up, transform_points, yaw_pose
+from tasks.geometry.transforms import Z_UP_TO_Y_UP, quaternion_wxyz, to_y_up, transform_points, yaw_pose
 
 ACTIONS: Mapping[str, int] = {"stop": 0, "forward": 1, "left": 2, "right": 3}
 """habitat-sim's numbers of the actions that episodes are made of."""
@@ -83,11 +84,6 @@ def habitat_files(
         written, missed = _episode_files(handle, replica, navmesh[0], episodes, config.habitat)
         files += written
     return sorted(files, key=lambda file: file.path), missed
-
-
-def numbers(values: ArrayLike) -> list[float]:
-    """Numbers as JSON has them, rounded to a nanometre; no negative zeros."""
-    return [round(float(value), 9) + 0.0 for value in np.asarray(values).reshape(-1)]
 
 
 def _stage_files(handle: str, replica: Replica, config: ExportsConfig) -> list[File]:
@@ -190,27 +186,11 @@ def _scene_instance(replica: Replica, navmesh: tuple[Navmesh, bytes] | None, con
         scene["object_instances"].append(
             {
                 "template_name": handles[body.instance_id], **origin, "translation": numbers(pose[:3, 3]),
-                "rotation": numbers(_unit(quaternion_wxyz(pose))), "motion_type": config.habitat.motion_type,
+                "rotation": numbers(unit(quaternion_wxyz(pose))), "motion_type": config.habitat.motion_type,
                 "user_defined": known | dict(body.provenance),
             }
         )  # fmt: skip
     return scene
-
-
-def _unit(quaternion: Sequence[float]) -> NDArray[np.float64]:
-    """A quaternion of length 1: habitat-sim does not check it."""
-    values = np.asarray(quaternion, dtype=np.float64)
-    return np.asarray(values / np.linalg.norm(values))
-
-
-def position(point: ArrayLike) -> list[float]:
-    """A position of the world frame, shape (3,), in Habitat's frame."""
-    return numbers(transform_points(np.asarray(point, dtype=np.float64)[None], Z_UP_TO_Y_UP)[0])
-
-
-def rotation(yaw: float) -> list[float]:
-    """Heading about +Z from +X [rad] as an episode's quaternion (x, y, z, w): a turn about +Y from -Z."""
-    return numbers(_unit(quaternion_xyzw(to_y_up(yaw_pose(yaw - 0.5 * math.pi)))))
 
 
 def _episode_files(
@@ -284,15 +264,20 @@ def _replay(row: Episode, config: HabitatConfig) -> _Path:
         InputError: an action has no number in Habitat.
     """
     place, yaw = np.array(row.start_position), row.start_yaw_radians
-    steps = []
+    places, yaws = [], []
     for action in row.actions:
         if action not in ACTIONS:
             raise InputError("episodes", f"{row.episode_id} actions", f"{action!r} is none of {', '.join(ACTIONS)}")
-        steps.append({"position": position(place), "rotation": rotation(yaw), "action": ACTIONS[action]})
+        places.append(place)
+        yaws.append(yaw)
         if action == "forward":
             place = place + config.forward_m * np.array([math.cos(yaw), math.sin(yaw), 0.0])
         elif action in ("left", "right"):
             yaw += math.radians(config.turn_degrees) * (1 if action == "left" else -1)
+    steps: list[dict[str, Any]] = [
+        {"position": at, "rotation": turned, "action": ACTIONS[action]}
+        for at, turned, action in zip(positions(places), rotations(yaws), row.actions, strict=True)
+    ]
     return steps if np.linalg.norm(place - np.array(row.final_position)) < 0.01 else None
 
 

@@ -44,6 +44,11 @@ class Ground:
 
         return shapely.STRtree([shapely.Polygon(corners[:, [0, 2]]) for corners in self._navmesh.polygons])
 
+    @cached_property
+    def _heights(self) -> Array:
+        """Mean height of every polygon [m], shape (n,)."""
+        return np.array([corners[:, 1].mean() for corners in self._navmesh.polygons])
+
     def island_of(self, points: Array) -> NDArray[np.int64]:
         """Connected part of each point (x, y, z), shape (n, 3) to (n,); -1 where none is near.
 
@@ -54,8 +59,7 @@ class Ground:
         numbers = np.full(len(points), -1, dtype=np.int64)
         if len(points) and self._navmesh.polygons:
             which, polygon = self._tree.query(shapely.points(points[:, [0, 2]]), predicate="dwithin", distance=NEAR)
-            heights = np.array([corners[:, 1].mean() for corners in self._navmesh.polygons])
-            above = np.abs(heights[polygon] - points[which, 1])
+            above = np.abs(self._heights[polygon] - points[which, 1])
             above[above < _LEVEL] = 0.0
             beside = shapely.distance(shapely.points(points[which][:, [0, 2]]), self._tree.geometries[polygon])
             order = np.lexsort((beside, above, which))

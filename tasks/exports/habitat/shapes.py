@@ -23,7 +23,11 @@ def mismatch(value: Any, shape: Any, where: str = "") -> str | None:
     if isinstance(shape, list):
         if not isinstance(value, list):
             return f"{where or 'the file'} is no list"
-        return next((problem for i, item in enumerate(value) if (problem := mismatch(item, shape[0], f"{where}[{i}]"))), None)
+        inner = shape[0]
+        if callable(inner):  # most lists are of numbers: their places are named when one is wrong
+            wrong = next(((i, problem) for i, item in enumerate(value) if (problem := inner(item))), None)
+            return f"{where}[{wrong[0]}] {wrong[1]}" if wrong else None
+        return next((problem for i, item in enumerate(value) if (problem := mismatch(item, inner, f"{where}[{i}]"))), None)
     if not isinstance(value, dict):
         return f"{where or 'the file'} is no object"
     for key, inner in shape.items():

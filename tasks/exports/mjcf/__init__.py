@@ -21,7 +21,7 @@ from tasks.exports.config import ExportsConfig
 from tasks.exports.files import Export, File
 from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
 from tasks.exports.lighting import FIELD_OF_VIEW_DEGREES, lamps, viewpoint
-from tasks.exports.wavefront import Painted, as_png, dump_obj, painted_part, painted_shape
+from tasks.exports.wavefront import Painted, as_png, dump_obj, painted_part, painted_shape, prepare
 from tasks.geometry.pieces import Hull, convex_hull
 from tasks.geometry.transforms import quaternion_wxyz
 from tasks.optimization.engines.mujoco_engine import Mujoco, contact_of, friction_of
@@ -178,15 +178,19 @@ def _visuals(assets: Element, files: dict[str, bytes], name: str, meshes: Sequen
     shown = []
     for index, mesh in enumerate(meshes):
         part = f"{name}_part_{index:02d}"
-        vertices = mesh.vertices if len(mesh.vertices) > 3 else np.concatenate([mesh.vertices, mesh.vertices[-1:]])  # MuJoCo wants four
-        uv = None if mesh.uv is None else np.concatenate([mesh.uv, mesh.uv[-1:]])[: len(vertices)]
-        files[f"{part}.obj"] = dump_obj(vertices, mesh.faces, uv)
+        files[f"{part}.obj"] = mesh.obj() if len(mesh.vertices) > 3 else _with_four(mesh)
         ElementTree.SubElement(assets, "mesh", name=part, file=f"{part}.obj")
         look = {"mesh": part, "rgba": numbers([*mesh.color, 1.0])}
         if mesh.texture is not None:
             look = {"mesh": part, "material": _material(assets, files, mesh)}
         shown.append(look)
     return shown
+
+
+def _with_four(mesh: Painted) -> bytes:
+    """The OBJ file of a single triangle, its last vertex there twice: MuJoCo wants four."""
+    uv = None if mesh.uv is None else np.concatenate([mesh.uv, mesh.uv[-1:]])
+    return dump_obj(np.concatenate([mesh.vertices, mesh.vertices[-1:]]), mesh.faces, uv)
 
 
 def _material(assets: Element, files: dict[str, bytes], mesh: Painted) -> str:
@@ -273,4 +277,5 @@ MJCF = ExportFormat(
         example="./replicas/mjcf/scannet_scene0000_00/scene.xml",
         names_others=True,
     ),
+    prepare=prepare,
 )

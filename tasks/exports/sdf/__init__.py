@@ -22,7 +22,7 @@ from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
 from tasks.exports.lighting import lamps
 from tasks.exports.mjcf import described, numbers
 from tasks.exports.sdf.places import ABOUT, NAMESPACE
-from tasks.exports.wavefront import Painted, dump_obj, obj_files, painted_part, painted_shape
+from tasks.exports.wavefront import Painted, dump_obj, hull_files, obj_files, painted_part, painted_shape, prepare
 from tasks.geometry.pieces import PieceConfig, convex_hull
 from tasks.shell import floor_ring
 
@@ -55,7 +55,7 @@ def sdf_files(replica: Replica, config: ExportsConfig) -> list[File]:
     for body in replica.bodies:
         shape = body.shape
         if shape.name not in known:
-            hulls = {f"meshes/{shape.name}_hull_{i:02d}.obj": dump_obj(hull.vertices, hull.faces) for i, hull in enumerate(shape.hulls)}
+            hulls = hull_files(shape)
             files |= hulls
             seen = _seen(files, shape.name, painted_shape(shape))
             known[shape.name] = (seen, tuple(hulls))
@@ -209,7 +209,7 @@ def _role(name: str) -> str:
 
 
 def _make(scene: ExportedScene) -> Export:
-    """The files, written to a temporary folder and checked there."""
+    """The files, checked as they are."""
     files = sdf_files(scene.replica, scene.config)
     return checked(files, SDF, f"{scene.replica.stem}/{WORLD}")
 
@@ -231,4 +231,6 @@ SDF = ExportFormat(
         example=f"./replicas/sdf/scannet_scene0000_00/{WORLD}",
         names_others=True,
     ),
+    prepare=prepare,
+    is_held=True,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 from xml.etree import ElementTree
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import is_there, read_file
+from schemas.files import AnyPath, is_there, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.inertias import impossible, too_large
 from tasks.exports.mesh_files import ELSEWHERE, HULL_TOLERANCE_M, hollow, named_mesh
@@ -65,7 +65,7 @@ _OTHERS = ("plugin", "state")
 """Elements of programs and of saved moments, in which the same words mean what these want."""
 
 
-def check_sdf(path: Path) -> list[Finding]:
+def check_sdf(path: AnyPath) -> list[Finding]:
     """Everything that is wrong with an SDF file and the meshes that it names, sorted."""
     try:
         root = xml_root(read_file(path, path.name, BUDGET.xml_bytes))
@@ -83,7 +83,7 @@ def check_sdf(path: Path) -> list[Finding]:
     return sorted(set(findings))
 
 
-def _names(path: Path, root: Element) -> Iterator[Finding]:
+def _names(path: AnyPath, root: Element) -> Iterator[Finding]:
     """Names, each of its own among what stands in the same element."""
     for above in _own(root):
         named = [child for child in above if child.tag in _NAMED.get(str(above.tag), ())]
@@ -125,13 +125,13 @@ def _own(above: Element) -> Iterator[Element]:
         waiting += [child for child in element if child.tag not in _OTHERS and not {*":}"} & {*str(child.tag)}]
 
 
-def _numbers(path: Path, root: Element) -> Iterator[Finding]:
+def _numbers(path: AnyPath, root: Element) -> Iterator[Finding]:
     for above in _own(root):
         for element in above:
             yield from _count(path, element, _COUNTS_IN.get((str(above.tag), str(element.tag)), _COUNTS.get(str(element.tag))))
 
 
-def _count(path: Path, element: Element, counts: tuple[int, ...] | None) -> Iterator[Finding]:
+def _count(path: AnyPath, element: Element, counts: tuple[int, ...] | None) -> Iterator[Finding]:
     """An element that is so many numbers."""
     if counts is None or len(element):
         return
@@ -143,7 +143,7 @@ def _count(path: Path, element: Element, counts: tuple[int, ...] | None) -> Iter
         yield Finding("numbers", f"{path.name} {element.tag}", f"is not {many} finite numbers: {(element.text or '').strip()[:60]}")
 
 
-def _paths(path: Path, root: Element) -> Iterator[Finding]:
+def _paths(path: AnyPath, root: Element) -> Iterator[Finding]:
     """Files that are named, but for those of meshes, which are read: images, height maps, models of others."""
     meshes = {id(uri) for mesh in root.iter("mesh") for uri in mesh.findall("uri")}
     for element in _own(root):
@@ -160,7 +160,7 @@ def _paths(path: Path, root: Element) -> Iterator[Finding]:
             yield Finding("closed_paths", where, f"{name!r} does not exist")
 
 
-def _world(path: Path, root: Element) -> Iterator[Finding]:
+def _world(path: AnyPath, root: Element) -> Iterator[Finding]:
     """What holds for a world as a whole."""
     worlds, models = root.findall("world"), root.findall("model")
     if len(worlds) + len(models) != 1:
@@ -177,7 +177,7 @@ def _world(path: Path, root: Element) -> Iterator[Finding]:
             yield Finding("viewing", where, "has no light")
 
 
-def _link(path: Path, where: str, link: Element, is_static: bool, known: dict[Any, Any]) -> Iterator[Finding]:
+def _link(path: AnyPath, where: str, link: Element, is_static: bool, known: dict[Any, Any]) -> Iterator[Finding]:
     """Geometry, mass and friction of a link."""
     boxes: list[NDArray[np.float64] | None] = []
     for kind in ("visual", "collision"):

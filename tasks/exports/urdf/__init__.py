@@ -21,7 +21,7 @@ from tasks.exports.files import Export, File
 from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
 from tasks.exports.mjcf import described, numbers
 from tasks.exports.urdf.places import POSES
-from tasks.exports.wavefront import dump_obj, obj_files, painted_part, painted_shape
+from tasks.exports.wavefront import dump_obj, hull_files, obj_files, painted_part, painted_shape, prepare
 from tasks.geometry.transforms import quaternion_wxyz
 
 Element = ElementTree.Element
@@ -42,7 +42,7 @@ def urdf_files(replica: Replica, config: ExportsConfig) -> list[File]:
     for body in replica.bodies:
         shape = body.shape
         if shape.name not in known:
-            hulls = {f"meshes/{shape.name}_hull_{i:02d}.obj": dump_obj(hull.vertices, hull.faces) for i, hull in enumerate(shape.hulls)}
+            hulls = hull_files(shape)
             files |= hulls
             known[shape.name] = _Meshes(obj_files(files, shape.name, painted_shape(shape)), tuple(hulls))
         files[f"{body.name}.urdf"] = _object(body, known[shape.name])
@@ -163,7 +163,7 @@ def _role(name: str) -> str:
 
 
 def _make(scene: ExportedScene) -> Export:
-    """The files, written to a temporary folder and checked there."""
+    """The files, checked as they are."""
     files = urdf_files(scene.replica, scene.config)
     return checked(files, URDF, scene.replica.stem)
 
@@ -186,4 +186,6 @@ URDF = ExportFormat(
         takes="either",
         names_others=True,
     ),
+    prepare=prepare,
+    is_held=True,
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import read_file
+from schemas.files import AnyPath, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.inertias import impossible, too_large
 from tasks.exports.mesh_files import HULL_TOLERANCE_M, hollow, named_mesh
@@ -43,7 +42,7 @@ _NUMBERS = {"value", "ixx", "ixy", "ixz", "iyy", "iyz", "izz", "radius", "length
 Element = ElementTree.Element
 
 
-def check_urdf(path: Path) -> list[Finding]:
+def check_urdf(path: AnyPath) -> list[Finding]:
     """Everything that is wrong with a URDF file, or with all of a folder and its `poses.json`, sorted."""
     if path.is_dir():
         files = sorted(path.glob("*.urdf"))
@@ -54,7 +53,7 @@ def check_urdf(path: Path) -> list[Finding]:
     return sorted(set(_check(path, {})))
 
 
-def _check(path: Path, known: dict[Any, Any]) -> list[Finding]:
+def _check(path: AnyPath, known: dict[Any, Any]) -> list[Finding]:
     """Findings about one file."""
     try:
         robot = xml_root(read_file(path, path.name, BUDGET.xml_bytes))
@@ -65,7 +64,7 @@ def _check(path: Path, known: dict[Any, Any]) -> list[Finding]:
     return [*_structure(path, robot), *_numeric(path, robot), *_links(path, robot, known)]
 
 
-def _structure(path: Path, robot: Element) -> Iterator[Finding]:
+def _structure(path: AnyPath, robot: Element) -> Iterator[Finding]:
     """Names, and the tree that links and joints make."""
     links, joints = robot.findall("link"), robot.findall("joint")
     if not robot.get("name"):
@@ -120,7 +119,7 @@ def _floats(text: str | None) -> NDArray[np.float64] | None:
     return values if np.isfinite(values).all() else None
 
 
-def _numeric(path: Path, robot: Element) -> Iterator[Finding]:
+def _numeric(path: AnyPath, robot: Element) -> Iterator[Finding]:
     for link in [*robot.findall("link"), *robot.findall("joint")]:
         for element in link.iter():
             for key, text in element.attrib.items():
@@ -131,7 +130,7 @@ def _numeric(path: Path, robot: Element) -> Iterator[Finding]:
                     yield Finding("numbers", where, f"{element.tag} {key} is not {count} finite numbers: {text[:60]}")
 
 
-def _links(path: Path, robot: Element, known: dict[Any, Any]) -> Iterator[Finding]:
+def _links(path: AnyPath, robot: Element, known: dict[Any, Any]) -> Iterator[Finding]:
     """Geometry and mass of every link."""
     links = robot.findall("link")
     for link in links:
@@ -204,7 +203,7 @@ def _reach(where: str, inertial: Element, reach: NDArray[np.float64]) -> Iterato
         yield Finding("inertia", where, fault)
 
 
-def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
+def _poses(folder: AnyPath, files: list[str]) -> Iterator[Finding]:
     """The file that says where the objects stand."""
     path = folder / POSES
     try:
@@ -238,7 +237,7 @@ def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
             yield Finding("poses", where, f"mass_kg is {mass:g}, in the file {stated:g}")
 
 
-def _stated_mass(path: Path) -> float | None:
+def _stated_mass(path: AnyPath) -> float | None:
     """Mass of all links of a file [kg]."""
     try:
         robot = xml_root(read_file(path, path.name, BUDGET.xml_bytes))

@@ -36,7 +36,7 @@ from tasks.exports.usd.layers import (
     new_stage,
     set_mass,
 )
-from tasks.exports.visuals import texture_of
+from tasks.exports.visuals import texture_of, visuals_of
 from tasks.geometry.meshes import vertex_colors
 from tasks.geometry.pieces import Hull, convex_hull
 from tasks.geometry.transforms import quaternion_wxyz
@@ -252,4 +252,5 @@ USD = ExportFormat(
     package=_package,
     suffix=".usdz",
     is_nested=True,
+    prepare=visuals_of,
 )

@@ -131,10 +131,14 @@ def _write_physics(path: Path, name: str, body: Body, config: UsdConfig) -> None
 
 def _write_payload(path: Path, name: str, layers: Sequence[str]) -> None:
     """Layers of the asset `name`, strongest first, as one."""
-    payload = new_stage(path, name, kind="")
+    from pxr import Sdf
+
+    stage = new_stage(path, name, kind="")
+    payload = Sdf.Layer.FindOrOpen(stage.GetRootLayer().identifier)
+    del stage  # it would read every layer that is put below it
     for layer in layers:
-        payload.GetRootLayer().subLayerPaths.append(f"./{name}_{layer}")
-    payload.GetRootLayer().Save()
+        payload.subLayerPaths.append(f"./{name}_{layer}")
+    payload.Save()
 
 
 def _write_interface(path: Path, name: str, body: Body, deformable: Deformable | None) -> None:

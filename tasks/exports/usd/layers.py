@@ -22,9 +22,12 @@ DEPENETRATION = "physxRigidBody:maxDepenetrationVelocity"
 
 def new_stage(path: Path, root: str, kind: str = "Xform") -> Any:
     """A new USD stage with +Z up, metres, kilograms and a default prim `root`; the caller saves it."""
-    from pxr import Usd, UsdGeom, UsdPhysics
+    from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
-    stage = Usd.Stage.CreateNew(str(path))
+    if path.suffix == ".usda":  # `CreateNew` writes an empty file first, from which a binary one takes its order
+        stage = Usd.Stage.Open(Sdf.Layer.New(Sdf.FileFormat.FindByExtension("usda"), str(path)), Usd.Stage.LoadNone)
+    else:
+        stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)

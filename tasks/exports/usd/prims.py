@@ -155,11 +155,12 @@ def array_of(attribute: Any, dtype: Any, width: int = 1) -> NDArray[Any] | None:
     return array if fits and len(array) else None
 
 
-def to_world(prim: Any) -> NDArray[np.float64]:
-    """Prim to world, column vectors, 4x4."""
+def to_world(prim: Any, known: Any = None) -> NDArray[np.float64]:
+    """Prim to world, column vectors, 4x4. known: `UsdGeom.XformCache` of the same stage, which remembers the prims above."""
     from pxr import Usd, UsdGeom
 
-    return np.array(UsdGeom.XformCache(Usd.TimeCode.Default()).GetLocalToWorldTransform(prim), dtype=np.float64).T
+    frames = known if known is not None else UsdGeom.XformCache(Usd.TimeCode.Default())
+    return np.array(frames.GetLocalToWorldTransform(prim), dtype=np.float64).T
 
 
 def dent(mesh: Triangles) -> float:
@@ -173,11 +174,13 @@ def dent(mesh: Triangles) -> float:
 def cloud_of(body: Any, wanted: Callable[[Any], bool]) -> NDArray[np.float64] | None:
     """World positions [units of the stage] of all that is `wanted` below a body, shape (n, 3); of cubes, spheres and the
     like the corners of their boxes. None without any."""
-    clouds = []
+    from pxr import Usd, UsdGeom
+
+    clouds, frames = [], UsdGeom.XformCache(Usd.TimeCode.Default())
     for prim in subtree(body):
         local = _points(prim) if wanted(prim) else None
         if local is not None and np.isfinite(local).all():
-            place = to_world(prim)
+            place = to_world(prim, frames)
             clouds.append(local @ place[:3, :3].T + place[:3, 3])
     return np.concatenate(clouds) if clouds else None
 

@@ -1,12 +1,21 @@
-"""Damage to meshes that colliders name, for the tests of every format that writes OBJ files."""
+"""Damage to meshes that colliders name, for the tests of every format that writes OBJ files, and folders of these as gates take them."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import trimesh
+
+from schemas.files import HeldPath
+
+
+def held(folder: Path) -> HeldPath:
+    """A folder as it lies on disk, links to folders followed, held in memory."""
+    files = [Path(place) / name for place, _, names in os.walk(folder, followlinks=True) for name in names]
+    return HeldPath.folder({file.relative_to(folder).as_posix(): file.read_bytes() for file in files})
 
 
 def edited(hull_file: Callable[[Path], Path], change: Callable[[trimesh.Trimesh], None]) -> Callable[[Path], None]:

@@ -25,7 +25,7 @@ from tasks.exports.sdf.rules import RULES, check_sdf
 from tasks.geometry.transforms import is_rigid
 from tests.conftest import REPOSITORY
 from tests.replicas import cube, furnished, replica_of, rows_of
-from tests.tasks.exports.mesh_damage import dent, edited, flatten, lose_image
+from tests.tasks.exports.mesh_damage import dent, edited, flatten, held, lose_image
 from tests.tasks.exports.test_exports_agreement import Read, moving, posed
 
 
@@ -100,6 +100,7 @@ def gazebo(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], dict[st
 def test_a_sound_world_has_no_findings_wherever_it_lies(world: Path, copy: Path) -> None:
     assert check_sdf(world) == []
     assert check_sdf(copy) == []
+    assert check_sdf(held(world.parent) / world.name) == []
     text = b"".join(path.read_bytes() for path in (world, *world.parent.glob("meshes/*.obj"), *world.parent.glob("meshes/*.mtl")))
     for path in world.parent.glob("meshes/*"):
         assert path.name.encode() in text, "nothing is there that is not used"
@@ -313,6 +314,7 @@ def test_damage_is_refused_by_its_rule(kind: str, copy: Path) -> None:
     rule, damage, words = DAMAGES[kind]
     damage(copy)
     errors = [finding for finding in check_sdf(copy) if finding.is_error]
+    assert check_sdf(held(copy.parent) / copy.name) == check_sdf(copy), "files in memory are checked as those of a folder"
     named = [finding for finding in errors if finding.rule == rule]
     assert any(words in str(finding) for finding in named), errors
     assert all(finding.where.split()[0] == "world.sdf" for finding in named), "each names the file"
@@ -349,6 +351,7 @@ def test_no_damage_makes_the_gate_fall_over(data: st.DataObject, world: Path, tm
     (place / "meshes").symlink_to(world.parent / "meshes")
     (place / "world.sdf").write_bytes(ElementTree.tostring(root))
     assert all(finding.rule in RULES for finding in check_sdf(place / "world.sdf"))
+    assert check_sdf(held(place) / "world.sdf") == check_sdf(place / "world.sdf")
 
 
 def test_files_of_others_are_read(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from tasks.exports.wavefront import dump_obj, load_obj
 from tasks.geometry.meshes import canonical, load_glb
 from tasks.shell import room_shell
 from tests.replicas import Object, furnished, rows_of
-from tests.tasks.exports.mesh_damage import dent, edited, flatten, lose_image
+from tests.tasks.exports.mesh_damage import dent, edited, flatten, held, lose_image
 from tests.tasks.exports.usd.test_exports_usd import replica_of
 
 
@@ -52,6 +52,7 @@ def copy(folder: Path, tmp_path: Path) -> Path:
 def test_a_sound_scene_has_no_findings_wherever_it_lies(folder: Path, copy: Path) -> None:
     assert check_urdf(folder) == []
     assert check_urdf(copy) == []
+    assert check_urdf(held(folder)) == []
     for file in sorted(folder.glob("*.urdf")):
         assert check_urdf(file) == []
     text = b"".join(path.read_bytes() for path in (*folder.glob("*.urdf"), *folder.glob("meshes/*.obj"), *folder.glob("meshes/*.mtl")))
@@ -259,6 +260,7 @@ def test_damage_is_refused_by_its_rule(name: str, copy: Path) -> None:
     rule, damage, words = DAMAGES[name]
     damage(copy)
     found = [finding for finding in check_urdf(copy) if finding.is_error]
+    assert check_urdf(held(copy)) == check_urdf(copy), "files in memory are checked as those of a folder"
     named = [finding for finding in found if finding.rule == rule]
     assert any(words in str(finding) for finding in named), found
     assert all(finding.where.split()[0].endswith((".urdf", "poses.json")) for finding in named), "each names the file"
@@ -291,6 +293,7 @@ def test_no_damage_makes_the_gate_fall_over(data: st.DataObject, folder: Path, t
     (place / "meshes").symlink_to(folder / "meshes")
     (place / file).write_bytes(ElementTree.tostring(root))
     assert all(finding.rule in RULES for finding in check_urdf(place / file))
+    assert check_urdf(held(place) / file) == check_urdf(place / file)
 
 
 _JSON = st.recursive(st.none() | st.booleans() | st.floats() | st.text(max_size=5), lambda inner: st.lists(inner, max_size=4), max_leaves=6)
