@@ -15,7 +15,7 @@ from tasks.kernels import Kernels, compile_kernels
 
 Array = NDArray[np.float64]
 
-_BLOCK = 8  # samples that lie together, of which none is looked at where their sphere is too far
+_BLOCK = 8  # samples that lie together, of which none is looked at where their sphere is too far; and as many such blocks together
 _BITS = 4  # of each coordinate, for the order of samples
 _SLACK = 1e-9  # bounds are this much looser than the numbers: rounding rules nothing out
 
@@ -26,34 +26,26 @@ def coarse_distances(points: Array, placed: Array) -> tuple[Array, Array]:
     Points: shape (k, 3). Placed samples: shape (p, m, 3). Returns shapes (p, k), from the points to the samples, and
     (p, m), from the samples to the points.
     """
-    out, back = _compiled()["_coarse"](np.ascontiguousarray(points), np.ascontiguousarray(placed))
+    out, back = compiled()["_coarse"](np.ascontiguousarray(points), np.ascontiguousarray(placed))
     return np.asarray(out), np.asarray(back)
 
 
 def nearest_indices(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
     """Index of and distance to the nearest sample of every point [m]. Shapes (k, 3) and (m, 3) to (k,) and (k,)."""
-    index, distance = _compiled()["_nearest"](np.ascontiguousarray(points), np.ascontiguousarray(samples))
+    index, distance = compiled()["nearest"](np.ascontiguousarray(points), np.ascontiguousarray(samples))
     return np.asarray(index), np.asarray(distance)
-
-
-def nearest_turn(points: Array, placed: Array, keep: int) -> tuple[float, float, Array, Array]:
-    """How the `keep` points that are nearest to samples must be met: sums over the pairs of a point and its nearest sample, about their
-    middles in plan, of the sine and of the cosine of the turn between them, times both lengths [m2], and the middles of these samples and
-    points, both shape (2,) [m]. Shapes (k, 3) and (m, 3)."""
-    across, along, source, to = _compiled()["_turned"](np.ascontiguousarray(points), np.ascontiguousarray(placed), keep)
-    return float(across), float(along), source, to
 
 
 def disc_distances(points: Array, centers: Array, normals: Array, radius: float) -> Array:
     """Distance of every point to the nearest of flat discs [m]: shape (k,). Centers and unit normals: shape (m, 3)."""
-    kernel = _compiled()["_discs"]
+    kernel = compiled()["discs"]
     return np.asarray(kernel(np.ascontiguousarray(points), np.ascontiguousarray(centers), np.ascontiguousarray(normals), float(radius)))
 
 
 def clamped(ratio: Array, weight: Array, half: float, least: float, most: float) -> Array:
-    """Scales, shape (3,), whose logarithms are the nearest in weighted least squares to those of `ratio` that lie within a window of
-    twice `half`, then from `least` to `most`."""
-    return np.asarray(_compiled()["_clamped"](ratio, weight, half, least, most))
+    """Scales, shape (n, 3), of which each row's logarithms are the nearest in weighted least squares to those of `ratio` that lie within a
+    window of twice `half`, then from `least` to `most`."""
+    return np.asarray(compiled()["_clamped"](ratio, weight, half, least, most))
 
 
 def spacing(points: Array) -> float:
@@ -66,27 +58,29 @@ def spacing(points: Array) -> float:
 
 
 @cache
-def _compiled() -> Kernels:
-    return compile_kernels(_blocks, _clamped, _coarse, _ahead, _nearest, _part_sum, _sum, _turned, _discs)
+def compiled() -> Kernels:
+    """Kernels that others call, too."""
+    return compile_kernels(curve, _around, blocked, _clamped, _coarse, _ahead, search, nearest, _part_sum, pairwise_sum, discs)
 
 
 def _clamped(ratio: Array, weight: Array, half: float, least: float, most: float) -> Array:
-    logs = np.log(ratio)
-    # all logarithms are brought into a window of this half width; the squared change is convex in the window's middle
-    low, high = logs.min() - half, logs.max() + half
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        slope = 0.0
+    scale = np.empty(ratio.shape)
+    for n in range(len(ratio)):
+        logs = np.log(ratio[n])
+        # all logarithms are brought into a window of this half width; the squared change is convex in the window's middle
+        low, high = logs.min() - half, logs.max() + half
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            slope = 0.0
+            for a in range(len(logs)):
+                slope += weight[n, a] * (min(max(logs[a], middle - half), middle + half) - logs[a])
+            if slope < 0:
+                low = middle
+            else:
+                high = middle
+        # clipping to the limits moves no two logarithms farther apart
         for a in range(len(logs)):
-            slope += weight[a] * (min(max(logs[a], middle - half), middle + half) - logs[a])
-        if slope < 0:
-            low = middle
-        else:
-            high = middle
-    # clipping to the limits moves no two logarithms farther apart
-    scale = np.empty(len(logs))
-    for a in range(len(logs)):
-        scale[a] = np.exp(min(max(min(max(logs[a], middle - half), middle + half), least), most))
+            scale[n, a] = np.exp(min(max(min(max(logs[a], middle - half), middle + half), least), most))
     return scale
 
 
@@ -108,9 +102,8 @@ def _coarse(points: Array, placed: Array) -> tuple[Array, Array]:
     return np.sqrt(out), np.sqrt(back)
 
 
-def _blocks(samples: Array) -> tuple[NDArray[np.int64], Array, Array]:
-    """Samples, shape (m, 3), ordered along a curve that fills space, as columns, shape (3, m), with spheres around every `_BLOCK` of
-    them, shape (4, blocks): their middles and radii [m]."""
+def curve(samples: Array) -> NDArray[np.int64]:
+    """Samples, shape (m, 3), in their order along a curve that fills space, shape (m,)."""
     m = samples.shape[0]
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for j in range(m):
@@ -127,16 +120,19 @@ def _blocks(samples: Array) -> tuple[NDArray[np.int64], Array, Array]:
         starts[code[j] + 1] += 1
     for c in range(8**_BITS):
         starts[c + 1] += starts[c]
-    order, columns = np.empty(m, dtype=np.int64), np.empty((3, m))
+    order = np.empty(m, dtype=np.int64)
     for j in range(m):
-        at = starts[code[j]]
+        order[starts[code[j]]] = j
         starts[code[j]] += 1
-        order[at] = j
-        for a in range(3):
-            columns[a, at] = samples[j, a]
-    spheres = np.zeros((4, -(-m // _BLOCK)))
+    return order
+
+
+def _around(columns: Array, width: int) -> Array:
+    """Spheres around every `width` points that follow one another, shape (3, m): their middles and radii [m], shape (4, spheres)."""
+    m = columns.shape[1]
+    spheres = np.zeros((4, -(-m // width)))
     for b in range(spheres.shape[1]):
-        first, last = b * _BLOCK, min((b + 1) * _BLOCK, m)
+        first, last = b * width, min((b + 1) * width, m)
         for a in range(3):
             near, far = columns[a, first], columns[a, first]
             for j in range(first + 1, last):
@@ -146,42 +142,74 @@ def _blocks(samples: Array) -> tuple[NDArray[np.int64], Array, Array]:
             x, y, z = columns[0, j] - spheres[0, b], columns[1, j] - spheres[1, b], columns[2, j] - spheres[2, b]
             spheres[3, b] = max(spheres[3, b], x * x + y * y + z * z)
         spheres[3, b] = np.sqrt(spheres[3, b]) * (1 + _SLACK) + _SLACK
-    return order, columns, spheres
+    return spheres
 
 
-def _ahead(spheres: Array, x: float, y: float, z: float, middle: Array) -> int:
-    """The sphere whose middle is nearest to a point; puts the squares of all distances into `middle`."""
-    start = 0
-    for b in range(spheres.shape[1]):
+def blocked(samples: Array, order: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Samples, shape (m, 3), in an order as columns, shape (3, m), with spheres around blocks of them and around groups of blocks."""
+    columns = np.empty((3, samples.shape[0]))
+    for j in range(samples.shape[0]):
+        for a in range(3):
+            columns[a, j] = samples[order[j], a]
+    return columns, _around(columns, _BLOCK), _around(columns, _BLOCK * _BLOCK)
+
+
+def _ahead(spheres: Array, groups: Array, x: float, y: float, z: float, middle: Array) -> int:
+    """A block that is near to a point; puts the squares of distances to the middles of groups into `middle`."""
+    near = 0
+    for g in range(groups.shape[1]):
+        p, q, r = groups[0, g] - x, groups[1, g] - y, groups[2, g] - z
+        middle[g] = p * p + q * q + r * r
+        if middle[g] < middle[near]:
+            near = g
+    start, least = near * _BLOCK, np.inf
+    for b in range(near * _BLOCK, min((near + 1) * _BLOCK, spheres.shape[1])):
         p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
-        middle[b] = p * p + q * q + r * r
-        if middle[b] < middle[start]:
-            start = b
+        d = p * p + q * q + r * r
+        if d < least:
+            start, least = b, d
     return start
 
 
-def _nearest(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
-    k, m = points.shape[0], samples.shape[0]
-    index = np.zeros(k, dtype=np.int64)
-    distance = np.empty(k)
-    order, columns, spheres = _blocks(samples)
-    blocks = spheres.shape[1]
-    middle = np.empty(blocks)
-    for i in range(k):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        start = _ahead(spheres, x, y, z, middle)
-        best, at, root = np.inf, 0, np.inf
-        for n in range(blocks + 1):  # the nearest block first, then all that may hold a nearer sample
-            b = n - 1 if n else start
-            if middle[b] > (root + spheres[3, b]) ** 2:
-                continue
+def search(
+    order: NDArray[np.int64], columns: Array, spheres: Array, groups: Array, middle: Array, x: float, y: float, z: float, both: bool
+) -> tuple[int, float, float]:  # fmt: skip
+    """The sample that is nearest to a point, of equal ones the first, its squared distance, and the next one's where both are asked for."""
+    m, blocks = columns.shape[1], spheres.shape[1]
+    start = _ahead(spheres, groups, x, y, z, middle)
+    best, second, at, root = np.inf, np.inf, 0, np.inf
+    for n in range(groups.shape[1] + 1):  # the near block first, then all that may hold a nearer sample
+        g = n - 1
+        if n and middle[g] > (root + groups[3, g]) ** 2:
+            continue
+        first, last = (g * _BLOCK, min((g + 1) * _BLOCK, blocks)) if n else (start, start + 1)
+        for b in range(first, last):
+            if n:
+                p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
+                if b == start or p * p + q * q + r * r > (root + spheres[3, b]) ** 2:
+                    continue
             for j in range(b * _BLOCK, min((b + 1) * _BLOCK, m)):
                 p, q, r = columns[0, j] - x, columns[1, j] - y, columns[2, j] - z
                 d = p * p + q * q + r * r
                 if d < best or (d == best and order[j] < at):
-                    best, at = d, order[j]
-            root = np.sqrt(best) * (1 + _SLACK)
-        index[i], distance[i] = at, np.sqrt(best)
+                    best, second, at = d, best, order[j]
+                elif d < second:
+                    second = d
+            root = np.sqrt(second if both else best) * (1 + _SLACK)
+    return at, best, second
+
+
+def nearest(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
+    """As `nearest_indices`, compiled."""
+    k = points.shape[0]
+    index = np.zeros(k, dtype=np.int64)
+    distance = np.empty(k)
+    order = curve(samples)
+    columns, spheres, groups = blocked(samples, order)
+    middle = np.empty(groups.shape[1])
+    for i in range(k):
+        index[i], best, _ = search(order, columns, spheres, groups, middle, points[i, 0], points[i, 1], points[i, 2], False)
+        distance[i] = np.sqrt(best)
     return index, distance
 
 
@@ -197,7 +225,7 @@ def _part_sum(values: Array, start: int, count: int) -> float:
     return float(total)
 
 
-def _sum(values: Array) -> float:
+def pairwise_sum(values: Array) -> float:
     """Sum of values by halves, in the order of NumPy's: errors stay small. Halves wait on a stack, -1 for two to be added."""
     starts, counts, sums = np.zeros(128, dtype=np.int64), np.zeros(128, dtype=np.int64), np.zeros(128)
     counts[0], depth, done = len(values), 1, 0
@@ -219,50 +247,37 @@ def _sum(values: Array) -> float:
     return float(sums[0])
 
 
-def _turned(points: Array, placed: Array, keep: int) -> tuple[float, float, Array, Array]:
-    index, distance = _nearest(points, placed)
-    used = np.argsort(distance, kind="mergesort")[:keep]
-    count = len(used)
-    source, to = np.zeros(2), np.zeros(2)
-    for i in used:
-        for a in range(2):
-            source[a] += placed[index[i], a]
-            to[a] += points[i, a]
-    source, to = source / count, to / count
-    across, along = np.empty(count), np.empty(2 * count)
-    for n in range(count):
-        i, j = used[n], index[used[n]]
-        x, y = placed[j, 0] - source[0], placed[j, 1] - source[1]
-        u, v = points[i, 0] - to[0], points[i, 1] - to[1]
-        across[n] = x * v - y * u
-        along[2 * n], along[2 * n + 1] = x * u, y * v
-    return _sum(across), _sum(along), source, to
-
-
-def _discs(points: Array, centers: Array, normals: Array, radius: float) -> Array:
+def discs(points: Array, centers: Array, normals: Array, radius: float) -> Array:
+    """As `disc_distances`, compiled."""
     k, m = points.shape[0], centers.shape[0]
     distance = np.empty(k)
-    order, columns, spheres = _blocks(centers)
-    blocks = spheres.shape[1]
-    middle = np.empty(blocks)
+    order = curve(centers)
+    columns, spheres, groups = blocked(centers, order)
+    blocks, middle = spheres.shape[1], np.empty(groups.shape[1])
     for i in range(k):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        start = _ahead(spheres, x, y, z, middle)
+        start = _ahead(spheres, groups, x, y, z, middle)
         best, reach = np.inf, np.inf
-        for n in range(blocks + 1):
-            b = n - 1 if n else start
-            if middle[b] > (reach + spheres[3, b]) ** 2:
+        for n in range(groups.shape[1] + 1):
+            g = n - 1
+            if n and middle[g] > (reach + groups[3, g]) ** 2:
                 continue
-            for j in range(b * _BLOCK, min((b + 1) * _BLOCK, m)):
-                p, q, r = x - columns[0, j], y - columns[1, j], z - columns[2, j]
-                whole = p * p + q * q + r * r
-                if whole >= reach * reach:  # even the disc's rim is farther than the best so far
-                    continue
-                o = order[j]
-                off = p * normals[o, 0] + q * normals[o, 1] + r * normals[o, 2]
-                along = np.sqrt(max(whole - off * off, 0.0))
-                over = max(along - radius, 0.0)
-                best = min(best, off * off + over * over)
-                reach = (np.sqrt(best) + radius) * (1 + _SLACK)
+            first, last = (g * _BLOCK, min((g + 1) * _BLOCK, blocks)) if n else (start, start + 1)
+            for b in range(first, last):
+                if n:
+                    p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
+                    if b == start or p * p + q * q + r * r > (reach + spheres[3, b]) ** 2:
+                        continue
+                for j in range(b * _BLOCK, min((b + 1) * _BLOCK, m)):
+                    p, q, r = x - columns[0, j], y - columns[1, j], z - columns[2, j]
+                    whole = p * p + q * q + r * r
+                    if whole >= reach * reach:  # even the disc's rim is farther than the best so far
+                        continue
+                    o = order[j]
+                    off = p * normals[o, 0] + q * normals[o, 1] + r * normals[o, 2]
+                    along = np.sqrt(max(whole - off * off, 0.0))
+                    over = max(along - radius, 0.0)
+                    best = min(best, off * off + over * over)
+                    reach = (np.sqrt(best) + radius) * (1 + _SLACK)
         distance[i] = np.sqrt(best)
     return distance

@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tasks.alignment import Distances
-from tasks.alignment.distances import coarse_distances, disc_distances, nearest_indices, nearest_turn
+from tasks.alignment.distances import coarse_distances, disc_distances, nearest_indices
+from tasks.alignment.pairs import Pairs
+from tasks.alignment.samples import turned
 from tasks.geometry.meshes import sample_surface, surface_of
 from tasks.selection import ScoreConfig, score_of
 from tasks.selection.coloring import color_histogram, color_similarity
@@ -32,14 +34,28 @@ def test_samples_that_are_not_looked_at_are_not_the_nearest(seed: int, k: int, m
     off = (away * normals).sum(axis=2)
     over = np.maximum(np.sqrt(np.maximum(square - off * off, 0.0)) - radius, 0.0)
     assert np.allclose(disc_distances(points, samples, normals, radius), np.sqrt(off * off + over * over).min(axis=1), atol=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1), k=st.integers(1, 60), m=st.integers(1, 300), decimals=st.integers(1, 9), reach=st.floats(0.0, 0.3))
+@settings(max_examples=60, deadline=None)
+def test_pairs_that_are_kept_are_those_that_are_found_anew(seed: int, k: int, m: int, decimals: int, reach: float) -> None:
+    """Surfaces that move by much, by little and not at all, with ties and many samples at one place."""
+    rng = np.random.default_rng(seed)
+    points, samples = np.round(rng.normal(size=(k, 3)), decimals), np.round(rng.normal(size=(m, 3)), decimals)
     keep = int(rng.integers(1, k + 1))
-    used = np.argsort(distance, kind="stable")[:keep]
-    to, source = points[used, :2], samples[index[used], :2]
-    a, b = source - source.mean(axis=0), to - to.mean(axis=0)
-    across, along, middle, goal = nearest_turn(points, samples, keep)
-    assert (across, along) == pytest.approx(((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()), abs=1e-9)
-    assert np.allclose(middle, source.mean(axis=0), atol=1e-12)
-    assert np.allclose(goal, to.mean(axis=0), atol=1e-12)
+    pairs, placed = Pairs(points, keep), samples
+    for _ in range(6):
+        index, distance = nearest_indices(points, placed)
+        used = np.argsort(distance, kind="stable")[:keep]
+        to, source = points[used, :2], placed[index[used], :2]
+        a, b = source - source.mean(axis=0), to - to.mean(axis=0)
+        across, along, middle, goal = pairs.turn(placed)
+        assert (across, along) == pytest.approx(((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()), abs=1e-9)
+        assert np.allclose(middle, source.mean(axis=0), atol=1e-12)
+        assert np.allclose(goal, to.mean(axis=0), atol=1e-12)
+        assert (across, along, *middle, *goal) == (lambda x, y, m, g: (x, y, *m, *g))(*Pairs(points, keep).turn(placed)), "to the bit"
+        angle, shift = reach * rng.normal() * rng.integers(0, 2), reach * rng.normal(size=3) * rng.integers(0, 2)
+        placed = placed @ turned(angle).T + shift * [1.0, 1.0, 0.0]
 
 
 def test_compiled_distances_equal_an_independent_implementation() -> None:
