@@ -45,8 +45,13 @@ def surface_area(vertices: ArrayLike, faces: ArrayLike) -> float:
 
 def enclosed_volume(vertices: ArrayLike, faces: ArrayLike) -> float:
     """Volume inside a closed surface [m3], negative where faces look inward: sum over tetrahedra to the origin."""
+    return float(signed_volumes(vertices, faces).sum() / 6.0)
+
+
+def signed_volumes(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Six times the volume between each face and the origin [m3], negative where it looks there, shape (m,)."""
     a, b, c = np.asarray(vertices)[np.asarray(faces).T]
-    return float(np.einsum("ij,ij->i", a, crosses(b, c)).sum() / 6.0)
+    return np.asarray(np.einsum("ij,ij->i", a, crosses(b, c)))
 
 
 def is_closed(faces: ArrayLike) -> bool:
