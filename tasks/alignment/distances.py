@@ -32,8 +32,20 @@ def coarse_distances(points: Array, placed: Array) -> tuple[Array, Array]:
 
 def nearest_indices(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
     """Index of and distance to the nearest sample of every point [m]. Shapes (k, 3) and (m, 3) to (k,) and (k,)."""
-    index, distance = compiled()["nearest"](np.ascontiguousarray(points), np.ascontiguousarray(samples))
+    index, distance = compiled()["_nearest"](np.ascontiguousarray(points), np.ascontiguousarray(samples))
     return np.asarray(index), np.asarray(distance)
+
+
+def nearest_turn(points: Array, placed: Array, keep: int, ranks: NDArray[np.int64] | None = None) -> tuple[float, float, Array, Array]:
+    """How the `keep` points that are nearest to samples must be met: sums over the pairs of a point and its nearest sample, about their
+    middles in plan, of the sine and of the cosine of the turn between them, times both lengths [m2], and the middles of these samples and
+    points, both shape (2,) [m]. Shapes (k, 3) and (m, 3).
+
+    ranks: The points in their order at the last step, shape (k,), brought into that of this one, which is much the same.
+    """
+    ranks = np.arange(len(points)) if ranks is None else ranks
+    across, along, source, to = compiled()["_turned"](np.ascontiguousarray(points), np.ascontiguousarray(placed), keep, ranks)
+    return float(across), float(along), source, to
 
 
 def disc_distances(points: Array, centers: Array, normals: Array, radius: float) -> Array:
@@ -60,7 +72,8 @@ def spacing(points: Array) -> float:
 @cache
 def compiled() -> Kernels:
     """Kernels that others call, too."""
-    return compile_kernels(curve, _around, blocked, _clamped, _coarse, _ahead, search, nearest, _part_sum, pairwise_sum, discs)
+    distances = (_columns, _least, _coarse, _nearest, back_distances)
+    return compile_kernels(_curve, _around, _blocked, _clamped, *distances, _part_sum, pairwise_sum, _ranked, _turned, discs)
 
 
 def _clamped(ratio: Array, weight: Array, half: float, least: float, most: float) -> Array:
@@ -84,25 +97,94 @@ def _clamped(ratio: Array, weight: Array, half: float, least: float, most: float
     return scale
 
 
+def _columns(points: Array) -> Array:
+    """Points, shape (n, 3), one coordinate after another, shape (3, n)."""
+    columns = np.empty((3, len(points)))
+    for i in range(len(points)):
+        for a in range(3):
+            columns[a, i] = points[i, a]
+    return columns
+
+
+def _least(points: Array, samples: Array) -> Array:
+    """Squared distance of each of the points to the nearest sample, both as columns. The inner loop is one of vectors: it beats a tree."""
+    least = np.full(points.shape[1], np.inf)
+    for j in range(samples.shape[1]):
+        x, y, z = samples[0, j], samples[1, j], samples[2, j]
+        for i in range(points.shape[1]):
+            a, b, c = points[0, i] - x, points[1, i] - y, points[2, i] - z
+            least[i] = min(least[i], a * a + b * b + c * c)
+    return least
+
+
 def _coarse(points: Array, placed: Array) -> tuple[Array, Array]:
-    poses, m = placed.shape[0], placed.shape[1]
-    k = points.shape[0]
-    out = np.full((poses, k), np.inf)
-    back = np.full((poses, m), np.inf)
-    for p in range(poses):
-        for i in range(k):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            best = np.inf
-            for j in range(m):
-                a, b, c = placed[p, j, 0] - x, placed[p, j, 1] - y, placed[p, j, 2] - z
-                d = a * a + b * b + c * c
-                best = min(best, d)
-                back[p, j] = min(back[p, j], d)
-            out[p, i] = best
-    return np.sqrt(out), np.sqrt(back)
+    out, back = np.empty((len(placed), len(points))), np.empty(placed.shape[:2])
+    wanted = _columns(points)
+    for p in range(len(placed)):
+        has = _columns(placed[p])
+        out[p], back[p] = np.sqrt(_least(wanted, has)), np.sqrt(_least(has, wanted))
+    return out, back
 
 
-def curve(samples: Array) -> NDArray[np.int64]:
+def _nearest(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
+    columns = _columns(points)
+    least, index = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+    for j in range(len(samples)):
+        x, y, z = samples[j, 0], samples[j, 1], samples[j, 2]
+        for i in range(len(points)):
+            a, b, c = columns[0, i] - x, columns[1, i] - y, columns[2, i] - z
+            d = a * a + b * b + c * c
+            is_nearer = d < least[i]  # of equal ones the first stays
+            least[i] = d if is_nearer else least[i]
+            index[i] = j if is_nearer else index[i]
+    return index, np.sqrt(least)
+
+
+def back_distances(placed: Array, points: Array) -> Array:
+    """Distance of each of the samples to the nearest point [m], compiled."""
+    return np.sqrt(_least(_columns(placed), _columns(points)))
+
+
+def _ranked(distance: Array, ranks: NDArray[np.int64]) -> None:
+    """Put points into the order of their distances, of equal ones the first: from an order that is nearly so, or anew."""
+    left = 4 * len(ranks)
+    for i in range(1, len(ranks)):
+        point, at = ranks[i], i
+        while at > 0:
+            other = ranks[at - 1]
+            if distance[other] < distance[point] or (distance[other] == distance[point] and other < point):
+                break
+            ranks[at] = other
+            at -= 1
+        ranks[at] = point
+        left -= i - at
+        if left < 0:
+            ranks[:] = np.argsort(distance, kind="mergesort")
+            return
+
+
+def _turned(points: Array, placed: Array, keep: int, ranks: NDArray[np.int64]) -> tuple[float, float, Array, Array]:
+    index, distance = _nearest(points, placed)
+    _ranked(distance, ranks)
+    used = ranks[:keep]
+    count = len(used)
+    source, to = np.zeros(2), np.zeros(2)
+    for i in used:
+        for a in range(2):
+            source[a] += placed[index[i], a]
+            to[a] += points[i, a]
+    source, to = source / count, to / count
+    across, along = np.empty(count), np.empty(2 * count)
+    for n in range(count):
+        i, j = used[n], index[used[n]]
+        x, y = placed[j, 0] - source[0], placed[j, 1] - source[1]
+        u, v = points[i, 0] - to[0], points[i, 1] - to[1]
+        across[n] = x * v - y * u
+        along[2 * n], along[2 * n + 1] = x * u, y * v
+    return pairwise_sum(across), pairwise_sum(along), source, to
+
+
+def _curve(samples: Array) -> NDArray[np.int64]:
     """Samples, shape (m, 3), in their order along a curve that fills space, shape (m,)."""
     m = samples.shape[0]
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -145,72 +227,13 @@ def _around(columns: Array, width: int) -> Array:
     return spheres
 
 
-def blocked(samples: Array, order: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+def _blocked(samples: Array, order: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """Samples, shape (m, 3), in an order as columns, shape (3, m), with spheres around blocks of them and around groups of blocks."""
     columns = np.empty((3, samples.shape[0]))
     for j in range(samples.shape[0]):
         for a in range(3):
             columns[a, j] = samples[order[j], a]
     return columns, _around(columns, _BLOCK), _around(columns, _BLOCK * _BLOCK)
-
-
-def _ahead(spheres: Array, groups: Array, x: float, y: float, z: float, middle: Array) -> int:
-    """A block that is near to a point; puts the squares of distances to the middles of groups into `middle`."""
-    near = 0
-    for g in range(groups.shape[1]):
-        p, q, r = groups[0, g] - x, groups[1, g] - y, groups[2, g] - z
-        middle[g] = p * p + q * q + r * r
-        if middle[g] < middle[near]:
-            near = g
-    start, least = near * _BLOCK, np.inf
-    for b in range(near * _BLOCK, min((near + 1) * _BLOCK, spheres.shape[1])):
-        p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
-        d = p * p + q * q + r * r
-        if d < least:
-            start, least = b, d
-    return start
-
-
-def search(
-    order: NDArray[np.int64], columns: Array, spheres: Array, groups: Array, middle: Array, x: float, y: float, z: float, both: bool
-) -> tuple[int, float, float]:  # fmt: skip
-    """The sample that is nearest to a point, of equal ones the first, its squared distance, and the next one's where both are asked for."""
-    m, blocks = columns.shape[1], spheres.shape[1]
-    start = _ahead(spheres, groups, x, y, z, middle)
-    best, second, at, root = np.inf, np.inf, 0, np.inf
-    for n in range(groups.shape[1] + 1):  # the near block first, then all that may hold a nearer sample
-        g = n - 1
-        if n and middle[g] > (root + groups[3, g]) ** 2:
-            continue
-        first, last = (g * _BLOCK, min((g + 1) * _BLOCK, blocks)) if n else (start, start + 1)
-        for b in range(first, last):
-            if n:
-                p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
-                if b == start or p * p + q * q + r * r > (root + spheres[3, b]) ** 2:
-                    continue
-            for j in range(b * _BLOCK, min((b + 1) * _BLOCK, m)):
-                p, q, r = columns[0, j] - x, columns[1, j] - y, columns[2, j] - z
-                d = p * p + q * q + r * r
-                if d < best or (d == best and order[j] < at):
-                    best, second, at = d, best, order[j]
-                elif d < second:
-                    second = d
-            root = np.sqrt(second if both else best) * (1 + _SLACK)
-    return at, best, second
-
-
-def nearest(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
-    """As `nearest_indices`, compiled."""
-    k = points.shape[0]
-    index = np.zeros(k, dtype=np.int64)
-    distance = np.empty(k)
-    order = curve(samples)
-    columns, spheres, groups = blocked(samples, order)
-    middle = np.empty(groups.shape[1])
-    for i in range(k):
-        index[i], best, _ = search(order, columns, spheres, groups, middle, points[i, 0], points[i, 1], points[i, 2], False)
-        distance[i] = np.sqrt(best)
-    return index, distance
 
 
 def _part_sum(values: Array, start: int, count: int) -> float:
@@ -251,17 +274,18 @@ def discs(points: Array, centers: Array, normals: Array, radius: float) -> Array
     """As `disc_distances`, compiled."""
     k, m = points.shape[0], centers.shape[0]
     distance = np.empty(k)
-    order = curve(centers)
-    columns, spheres, groups = blocked(centers, order)
-    blocks, middle = spheres.shape[1], np.empty(groups.shape[1])
-    for i in range(k):
+    order = _curve(centers)
+    columns, spheres, groups = _blocked(centers, order)
+    blocks, start = spheres.shape[1], 0
+    for i in _curve(points):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        start = _ahead(spheres, groups, x, y, z, middle)
-        best, reach = np.inf, np.inf
+        best, reach, nearest_block = np.inf, np.inf, start
         for n in range(groups.shape[1] + 1):
             g = n - 1
-            if n and middle[g] > (reach + groups[3, g]) ** 2:
-                continue
+            if n:
+                p, q, r = groups[0, g] - x, groups[1, g] - y, groups[2, g] - z
+                if p * p + q * q + r * r > (reach + groups[3, g]) ** 2:
+                    continue
             first, last = (g * _BLOCK, min((g + 1) * _BLOCK, blocks)) if n else (start, start + 1)
             for b in range(first, last):
                 if n:
@@ -277,7 +301,8 @@ def discs(points: Array, centers: Array, normals: Array, radius: float) -> Array
                     off = p * normals[o, 0] + q * normals[o, 1] + r * normals[o, 2]
                     along = np.sqrt(max(whole - off * off, 0.0))
                     over = max(along - radius, 0.0)
-                    best = min(best, off * off + over * over)
-                    reach = (np.sqrt(best) + radius) * (1 + _SLACK)
-        distance[i] = np.sqrt(best)
+                    if off * off + over * over < best:
+                        best, nearest_block = off * off + over * over, b
+                        reach = (np.sqrt(best) + radius) * (1 + _SLACK)
+        distance[i], start = np.sqrt(best), nearest_block
     return distance

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.alignment.distances import coarse_distances, compiled, discs, nearest, pairwise_sum
+from tasks.alignment.distances import back_distances, coarse_distances, compiled, discs, pairwise_sum
 from tasks.alignment.samples import Fit, Sample
 from tasks.alignment.targets import ScannedInstance
 from tasks.kernels import Kernels, compile_kernels
@@ -65,11 +65,11 @@ def _compiled() -> Kernels:
 def _seen_mean(distances: Array, weights: Array, share: float) -> float:
     """Weighted mean of the smallest distances that hold `share` of the weight, both of shape (m,)."""
     order = np.argsort(distances, kind="mergesort")
-    nearest, first, reached = distances[order], weights[order], np.cumsum(weights[order])
+    near, first, reached = distances[order], weights[order], np.cumsum(weights[order])
     count = 1
     for each in reached:
         count += each < share * reached[-1]
-    return pairwise_sum(nearest[:count] * first[:count]) / pairwise_sum(first[:count])
+    return pairwise_sum(near[:count] * first[:count]) / pairwise_sum(first[:count])
 
 
 def _seen_means(distances: Array, weights: Array, share: float) -> Array:
@@ -93,7 +93,7 @@ def _measured(
 ) -> tuple[float, float, float, float]:
     """Values of `Distances`."""
     scan = discs(points, placed, normals, radius)
-    back = np.maximum(nearest(placed, points)[1] - spacing, 0.0)
+    back = np.maximum(back_distances(placed, points) - spacing, 0.0)
     count = 0
     for each in scan:
         count += each <= threshold

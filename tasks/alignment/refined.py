@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tasks.alignment.distances import clamped
+from tasks.alignment.distances import clamped, nearest_turn
 from tasks.alignment.measures import coarse_costs, measure
 from tasks.alignment.method import AlignmentMethod
-from tasks.alignment.pairs import Pairs
 from tasks.alignment.samples import Fit, Sample, turned
 from tasks.alignment.targets import ScannedInstance
 from tasks.settings import Config
@@ -73,15 +72,15 @@ def refine(target: ScannedInstance, sample: Sample, fit: Fit, config: AlignmentC
     """
     reach = (config.refine_shift * target.size[:2]).tolist()
     start, (x0, y0, z) = fit.yaw, fit.offset.tolist()
-    yaw, x, y = start, x0, y0
-    pairs = Pairs(target.points, max(int(config.refine_share * len(target.points)), 3))
+    yaw, x, y, diagonal = start, x0, y0, target.diagonal
+    keep, ranks = max(int(config.refine_share * len(target.points)), 3), np.arange(len(target.points))
     scaled = sample.points * fit.scale
     for _ in range(config.refine_steps):
-        across, along, source, to = pairs.turn(scaled @ turned(yaw).T + np.array([x, y, z]))
+        across, along, source, to = nearest_turn(target.points, scaled @ turned(yaw).T + np.array([x, y, z]), keep, ranks)
         wanted = _within(yaw + float(np.arctan2(across, along)), start, config.refine_yaw_radians)
         moved = (turned(wanted - yaw)[:2, :2] @ (np.array([x, y]) - source) + to).tolist()
         moved = [_within(moved[0], x0, reach[0]), _within(moved[1], y0, reach[1])]
-        change = abs(wanted - yaw) * target.diagonal + max(abs(moved[0] - x), abs(moved[1] - y))
+        change = abs(wanted - yaw) * diagonal + max(abs(moved[0] - x), abs(moved[1] - y))
         yaw, (x, y) = wanted, moved
         if change < 5e-4:  # half a millimetre
             break

@@ -5,6 +5,7 @@ Normals at vertices and corners are libigl's; sums over faces that other figures
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -76,9 +77,12 @@ def openness(faces: ArrayLike) -> str | None:
     return ", ".join(parts) or None
 
 
-def spread(vertices: Array, faces: Integers, count: int, rng: np.random.Generator) -> tuple[Integers, Array]:
-    """Places spread evenly over a surface: face, shape (count,), sorted, and barycentric weights of its corners, shape (count, 3)."""
-    area = np.linalg.norm(face_crosses(vertices, faces), axis=1)
+def spread(vertices: Array, faces: Integers, count: int, rng: np.random.Generator, doubled: Array | None = None) -> tuple[Integers, Array]:
+    """Places spread evenly over a surface: face, shape (count,), sorted, and barycentric weights of its corners, shape (count, 3).
+
+    doubled: Twice the areas of faces [m2], shape (m,), where they are known.
+    """
+    area = np.linalg.norm(face_crosses(vertices, faces), axis=1) if doubled is None else doubled
     total = area.sum()
     area, total = (area, total) if total > 0 else (np.ones(len(faces)), float(len(faces)))
     steps = (np.arange(count) + rng.random(count)) / count * total
@@ -137,10 +141,25 @@ def welded(vertices: Array, decimals: int = WELD_DECIMALS) -> tuple[Integers, In
 
 def distinct_rows(rows: NDArray[Any]) -> tuple[Integers, Integers]:
     """The first of each of the distinct rows in ascending order, shape (k,), and which of them each row is, shape (n,). Rows: shape
-    (n, d), n at least 1."""
-    order = np.lexsort(rows.T[::-1])
+    (n, d)."""
+    if not len(rows):
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    order = _ascending(rows)
     ascending = rows[order]
     begins = np.concatenate([[True], (ascending[1:] != ascending[:-1]).any(axis=1)])
     place = np.empty(len(rows), dtype=np.int64)
     place[order] = np.cumsum(begins) - 1
     return order[begins], place
+
+
+def _ascending(rows: NDArray[Any]) -> Integers:
+    """Rows in ascending order, shape (n,), equal ones as they come; whole numbers within a small range are sorted as one."""
+    if np.issubdtype(rows.dtype, np.integer):
+        low = rows.min(axis=0)
+        spans = [int(high) - int(least) + 1 for high, least in zip(rows.max(axis=0), low, strict=True)]
+        if math.prod(spans) < 2**62:
+            keys = np.zeros(len(rows), dtype=np.int64)
+            for column, span in zip((rows - low).T, spans, strict=True):
+                keys = keys * span + column
+            return np.argsort(keys, kind="stable")
+    return np.lexsort(rows.T[::-1])
