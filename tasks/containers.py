@@ -135,6 +135,8 @@ def _tree(document: Document, binary: bytes) -> Problems:
     seen, placed, edges = set[int](), Counter[int](), 0
     level = [*dict.fromkeys(_indices(_at(scenes, document.get("scene", 0)).get("nodes")))]
     for _ in range(BUDGET.depth):
+        if not level:
+            break
         edges += len(level)
         placed.update(_whole(_at(nodes, index)["mesh"]) for index in level if "mesh" in _at(nodes, index))
         level = [index for index in dict.fromkeys(level) if index not in seen]

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.alignment.distances import coarse_distances, disc_distances, nearest_indices
+from tasks.alignment.distances import back_distances, coarse_distances, compiled, discs, pairwise_sum
 from tasks.alignment.samples import Fit, Sample
 from tasks.alignment.targets import ScannedInstance
+from tasks.kernels import Kernels, compile_kernels
 
 if TYPE_CHECKING:
     from tasks.alignment.configuration import AlignmentConfig
@@ -39,17 +41,9 @@ class Distances:
 def measure(target: ScannedInstance, sample: Sample, fit: Fit, threshold: float, config: AlignmentConfig) -> Distances:
     """How a placed asset fits. `threshold`: distance within which a point counts as covered [m]."""
     placed, normals, radius = sample.placed(fit)
-    scan = disc_distances(target.points, placed, normals, radius)
-    _, back = nearest_indices(placed, target.points)
-    back = np.maximum(back - target.spacing, 0.0)
-    limit = config.truncation * target.diagonal
     weights = target.weights(placed, normals, config)
-    return Distances(
-        scan=float(np.minimum(scan, limit).mean()),
-        asset=float(_seen_means(np.minimum(back, limit)[None], weights[None], config.seen_share)[0]),
-        chamfer=0.5 * float(scan.mean() + back.mean()),
-        coverage=float((scan <= threshold).mean()),
-    )
+    limits = radius, target.spacing, config.truncation * target.diagonal, threshold, config.seen_share
+    return Distances(*_compiled()["_measured"](np.ascontiguousarray(target.points), placed, normals, weights, *map(float, limits)))
 
 
 def coarse_costs(target: ScannedInstance, sample: Sample, fits: Sequence[Fit], config: AlignmentConfig) -> Array:
@@ -60,14 +54,49 @@ def coarse_costs(target: ScannedInstance, sample: Sample, fits: Sequence[Fit], c
     limit = config.truncation * target.diagonal
     weights = target.weights(placed, normals, config)
     near = np.minimum(np.maximum(out - 0.5 * radii[:, None], 0.0), limit).mean(axis=1)
-    return near + 0.5 * _seen_means(np.minimum(back, limit), weights, config.seen_share)
+    return near + 0.5 * np.asarray(_compiled()["_seen_means"](np.minimum(back, limit), weights, float(config.seen_share)))
+
+
+@cache
+def _compiled() -> Kernels:
+    return compile_kernels(_seen_mean, _seen_means, _measured, known=compiled())
+
+
+def _seen_mean(distances: Array, weights: Array, share: float) -> float:
+    """Weighted mean of the smallest distances that hold `share` of the weight, both of shape (m,)."""
+    order = np.argsort(distances, kind="mergesort")
+    near, first, reached = distances[order], weights[order], np.cumsum(weights[order])
+    count = 1
+    for each in reached:
+        count += each < share * reached[-1]
+    return pairwise_sum(near[:count] * first[:count]) / pairwise_sum(first[:count])
 
 
 def _seen_means(distances: Array, weights: Array, share: float) -> Array:
-    """Weighted means of the smallest distances that hold `share` of the weight, of each row: shapes (p, m) to (p,)."""
-    order = np.argsort(distances, axis=1, kind="stable")
-    nearest, first = np.take_along_axis(distances, order, axis=1), np.take_along_axis(weights, order, axis=1)
-    reached = np.cumsum(first, axis=1)
-    counts = (reached < share * reached[:, -1:]).sum(axis=1) + 1
-    sums = [(float((d[:n] * w[:n]).sum()), float(w[:n].sum())) for d, w, n in zip(nearest, first, counts.tolist(), strict=True)]
-    return np.array([distance / weight for distance, weight in sums])
+    """The same of each row, shapes (p, m) to (p,)."""
+    means = np.empty(len(distances))
+    for row in range(len(distances)):
+        means[row] = _seen_mean(distances[row], weights[row], share)
+    return means
+
+
+def _measured(
+    points: Array,
+    placed: Array,
+    normals: Array,
+    weights: Array,
+    radius: float,
+    spacing: float,
+    limit: float,
+    threshold: float,
+    share: float,
+) -> tuple[float, float, float, float]:
+    """Values of `Distances`."""
+    scan = discs(points, placed, normals, radius)
+    back = np.maximum(back_distances(placed, points) - spacing, 0.0)
+    count = 0
+    for each in scan:
+        count += each <= threshold
+    near = pairwise_sum(np.minimum(scan, limit)) / len(scan)
+    chamfer = 0.5 * (pairwise_sum(scan) / len(scan) + pairwise_sum(back) / len(back))
+    return near, _seen_mean(np.minimum(back, limit), weights, share), chamfer, count / len(scan)

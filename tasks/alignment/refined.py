@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tasks.alignment.distances import clamped, nearest_turn
 from tasks.alignment.measures import coarse_costs, measure
@@ -47,7 +47,7 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
     yaws = 2 * np.pi * np.arange(config.yaw_count) / config.yaw_count
     if target.is_square:
         yaws = yaws[:: max(config.yaw_count // 4, 1)]
-    fits = [_boxed(target, sample, float(yaw), config) for yaw in yaws]
+    fits = _boxed(target, sample, yaws.tolist(), config)
     costs = coarse_costs(target, sample, fits, config)
     square = np.ones(len(yaws), dtype=np.bool_) if target.is_square else np.arange(len(yaws)) % max(config.yaw_count // 4, 1) == 0
     order = np.argsort(np.round(costs / target.diagonal, 6), kind="stable")
@@ -59,7 +59,7 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
     for i in starts if not target.is_square else ():
         tried.append(refine(rough, few, fits[i], config))
         if abs(tried[-1].yaw - fits[i].yaw) > config.rebox_yaw_radians:
-            tried.append(refine(rough, few, _boxed(target, sample, tried[-1].yaw, config), config))
+            tried.append(refine(rough, few, _boxed(target, sample, [tried[-1].yaw], config)[0], config))
     measured = [measure(rough, few, fit, threshold, config).cost for fit in tried]
     slack = min(measured) * (1 + config.settle) + 1e-9
     return next(fit for fit, cost in zip(tried, measured, strict=True) if cost <= slack)
@@ -70,39 +70,45 @@ def refine(target: ScannedInstance, sample: Sample, fit: Fit, config: AlignmentC
 
     Height and scale stay; yaw and shift stay near where they started.
     """
-    start, reach = fit, config.refine_shift * target.size[:2]
-    points = target.points
-    keep = max(int(config.refine_share * len(points)), 3)
+    reach = (config.refine_shift * target.size[:2]).tolist()
+    start, (x0, y0, z) = fit.yaw, fit.offset.tolist()
+    yaw, x, y, diagonal = start, x0, y0, target.diagonal
+    keep, ranks = max(int(config.refine_share * len(target.points)), 3), np.arange(len(target.points))
     scaled = sample.points * fit.scale
     for _ in range(config.refine_steps):
-        across, along, source, to = nearest_turn(points, scaled @ turned(fit.yaw).T + fit.offset, keep)
-        turn = float(np.arctan2(across, along))
-        yaw = float(np.clip(fit.yaw + turn, start.yaw - config.refine_yaw_radians, start.yaw + config.refine_yaw_radians))
-        around = turned(yaw - fit.yaw)[:2, :2]
-        moved = around @ (fit.offset[:2] - source) + to
-        moved = np.clip(moved, start.offset[:2] - reach, start.offset[:2] + reach)
-        change = abs(yaw - fit.yaw) * target.diagonal + float(np.abs(moved - fit.offset[:2]).max())
-        fit = dataclasses.replace(fit, yaw=yaw, offset=np.array([*moved, fit.offset[2]]))
+        across, along, source, to = nearest_turn(target.points, scaled @ turned(yaw).T + np.array([x, y, z]), keep, ranks)
+        wanted = _within(yaw + float(np.arctan2(across, along)), start, config.refine_yaw_radians)
+        moved = (turned(wanted - yaw)[:2, :2] @ (np.array([x, y]) - source) + to).tolist()
+        moved = [_within(moved[0], x0, reach[0]), _within(moved[1], y0, reach[1])]
+        change = abs(wanted - yaw) * diagonal + max(abs(moved[0] - x), abs(moved[1] - y))
+        yaw, (x, y) = wanted, moved
         if change < 5e-4:  # half a millimetre
             break
-    return fit
+    return dataclasses.replace(fit, yaw=yaw, offset=np.array([x, y, z]))
 
 
-def clamp_scale(ratio: Sequence[float] | Array, weight: Sequence[float] | Array, config: AlignmentConfig) -> Array:
-    """Scales nearest to the asked ones, shape (3,), in weighted least squares of their logarithms, that keep the limits
+def _within(value: float, middle: float, reach: float) -> float:
+    """The value that is nearest and no farther than that from a middle."""
+    return min(max(value, middle - reach), middle + reach)
+
+
+def clamp_scale(ratio: ArrayLike, weight: ArrayLike, config: AlignmentConfig) -> Array:
+    """Scales nearest to the asked ones, shape (3,), or rows of them, in weighted least squares of their logarithms, that keep the limits
     on each axis and on the largest over the smallest."""
     limits = 0.5 * math.log(config.anisotropy), math.log(config.smallest_scale), math.log(config.largest_scale)
-    return clamped(np.asarray(ratio, dtype=np.float64), np.asarray(weight, dtype=np.float64), *limits)
+    asked, weights = np.asarray(ratio, dtype=np.float64), np.asarray(weight, dtype=np.float64)
+    return clamped(asked.reshape(-1, 3), weights.reshape(-1, 3), *limits).reshape(asked.shape)
 
 
-def _boxed(target: ScannedInstance, sample: Sample, yaw: float, config: AlignmentConfig) -> Fit:
-    """The pose for a yaw whose box is the instance's box along the asset's axes, as far as the limits allow."""
-    if yaw not in target.spans:
-        target.spans[yaw] = _span(target, yaw)
-    size, center = target.spans[yaw]
-    wanted = np.maximum(np.array([*size, target.size[2]]), 5e-3)
-    scale = clamp_scale(wanted / sample.extents, wanted / (wanted + config.thin_m), config)
-    return Fit(yaw, np.array([*center, 0.0]), scale)
+def _boxed(target: ScannedInstance, sample: Sample, yaws: Sequence[float], config: AlignmentConfig) -> list[Fit]:
+    """The pose for each yaw whose box is the instance's box along the asset's axes, as far as the limits allow."""
+    for yaw in yaws:
+        if yaw not in target.spans:
+            target.spans[yaw] = _span(target, yaw)
+    spans = [target.spans[yaw] for yaw in yaws]
+    wanted = np.maximum([[*size, target.size[2]] for size, _ in spans], 5e-3)
+    scales = clamp_scale(wanted / sample.extents, wanted / (wanted + config.thin_m), config)
+    return [Fit(yaw, np.array([*center, 0.0]), scale) for yaw, (_, center), scale in zip(yaws, spans, scales, strict=True)]
 
 
 def _span(target: ScannedInstance, yaw: float) -> tuple[Array, Array]:

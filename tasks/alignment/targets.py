@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.alignment.distances import spacing
+from tasks.geometry.triangles import distinct_rows
 
 if TYPE_CHECKING:
     from tasks.alignment.configuration import AlignmentConfig
@@ -109,8 +110,8 @@ def make_target(
     order = rng.permutation(len(points))
     cell = max(float(np.linalg.norm(size)) / 40, 1e-3)
     cells = np.floor(points[order] / cell).astype(np.int64)
-    _, first = np.unique(cells, axis=0, return_index=True)
-    thinned = points[order[np.sort(first)]][: config.points]
+    first = np.sort(distinct_rows(cells)[0])
+    thinned = points[order[first]][: config.points]
     size, lost = np.maximum(size, 5e-3), np.zeros(6) if hidden is None else np.asarray(hidden, dtype=np.float64)
     low, high = np.array([-0.5 * size[0], -0.5 * size[1], 0.0]), np.array([0.5 * size[0], 0.5 * size[1], size[2]])
     seen = np.array([np.where(lost[0::2] > 0, low + lost[0::2], -np.inf), np.where(lost[1::2] > 0, high - lost[1::2], np.inf)])

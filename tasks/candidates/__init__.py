@@ -222,7 +222,11 @@ def _attempt(
     clock = time.perf_counter()
     try:
         family = provider_of(provider)
-        made = family.offer(lender if family.draws_looks else request, provider)
+        made = lender.drawn.get(provider) if family.draws_looks else None
+        if made is None:
+            made = family.offer(lender if family.draws_looks else request, provider)
+        if family.draws_looks:
+            lender.drawn[provider] = made
     except NothingToOffer as nothing:
         return _row(number, provider, request, outcome="empty", reason=str(nothing), is_fallback=is_fallback), None
     except EndpointAway as away:

@@ -12,12 +12,14 @@ import numpy as np
 from schemas.candidates import Asset, TextureCharts
 from tasks.geometry.meshes import Surface, canonical, dump_bodies, dump_glb, surface_of
 from tasks.geometry.plain_glb import PlainBody
-from tasks.geometry.triangles import enclosed_volume, is_closed, openness, welded
+from tasks.geometry.triangles import enclosed_volume, is_closed, openness, signed_volumes, welded
 from tasks.texturing.rows import own_charts
 from tasks.views.pictures import thumbnail
 
 if TYPE_CHECKING:
     import trimesh
+
+    from tasks.geometry.colliders import TriangleMesh
 
 MAX_FACES = 500_000
 """More faces make a simulator crawl; such meshes are decimated to this."""
@@ -52,7 +54,7 @@ def make_asset(
     license: str,
     author: str | None = None,
     source_url: str | None = None,
-    pieces: Sequence[trimesh.Trimesh] = (),
+    pieces: Sequence[TriangleMesh] = (),
 ) -> MadeAsset:
     """An asset of `parts` (+Z up) and, when its construction knows them, convex `pieces` in the same frame [m].
 
@@ -85,7 +87,7 @@ def make_asset(
         pieces_data = dump_bodies(placed)
         pieces_blob = f"{hashlib.sha256(pieces_data).hexdigest()}.glb"
         files[pieces_blob] = pieces_data
-        volume = sum(abs(enclosed_volume(piece.vertices, piece.faces)) for piece in placed)
+        volume = sum(_volumes(placed))
     else:
         volume = _volume(surface, closed)
     picture = thumbnail(parts if textured else [surface.to_trimesh()])
@@ -112,6 +114,15 @@ def make_asset(
         face_count=len(surface.faces),
     )
     return MadeAsset(asset, files)
+
+
+def _volumes(bodies: Sequence[PlainBody]) -> list[float]:
+    """Volume inside of each of some closed bodies [m3]."""
+    starts = np.cumsum([0, *(len(body.vertices) for body in bodies[:-1])])
+    vertices = np.concatenate([body.vertices for body in bodies])
+    faces = np.concatenate([body.faces + start for body, start in zip(bodies, starts, strict=True)])
+    signed = np.split(signed_volumes(vertices, faces), np.cumsum([len(body.faces) for body in bodies[:-1]]))
+    return [abs(float(each.sum() / 6.0)) for each in signed]
 
 
 def charted(made: MadeAsset, parts: Sequence[trimesh.Trimesh]) -> MadeAsset:

@@ -23,10 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.candidates.completion import NOTHING_UNSEEN, Unseen, completed
+from tasks.candidates.nodes import Grid, distances, enclosed
 from tasks.geometry.isosurfaces import dense_surface
 from tasks.geometry.meshes import Surface
-from tasks.geometry.proximity import closest_points
-from tasks.geometry.rendering import RayScene
 
 Array = NDArray[np.float64]
 
@@ -48,9 +47,6 @@ SMOOTHING_CELLS = 0.7
 CROP_SMOOTHING_ROUNDS = 4
 """Rounds of averaging over neighbors before rays are cast: a face turned around by noise would vote for the wrong side."""
 
-INSIDE_SHARE, INSIDE_SHARE_ABOVE, FRONT_SHARE = 0.5, 0.6, 0.1
-"""Inside the solid, these shares of all rays, or of the level and upward ones, meet a back, and no more than that a front."""
-
 MIN_THICKNESS_M = 0.005
 """No side of the solid is thinner."""
 
@@ -59,12 +55,6 @@ MIN_BODY_SHARE = 0.15
 
 COLOR_POINTS = 8_000
 """Points of the scan that colors are taken from: one per 2 cm on a wardrobe."""
-
-_DIRECTIONS: NDArray[np.float32] = np.array(
-    [[0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]]  # first what settles most: what is above a seat sees it
-    + [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-0.6, 0.6)],
-    dtype=np.float32,
-)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,40 +85,17 @@ def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN) -> SolidField:
     shape = np.ceil(extent / step).astype(int) + 5
     origin = low - 2 * step
     origin[2] = low[2] - 2.5 * step  # the floor lies halfway between two nodes
-    axes = [origin[i] + step * np.arange(shape[i]) for i in range(3)]
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+    grid = Grid(origin, step, (int(shape[0]), int(shape[1]), int(shape[2])))
     vertices = _smoothed(crop)
-    scene = RayScene([dataclasses.replace(crop, vertices=vertices).to_trimesh()])
-    # Only near the surface does the amount matter; elsewhere the sign does, and exact distances are dear there.
-    distance = np.full(len(nodes), FAR_STEPS * step, dtype=np.float32)
-    near = np.flatnonzero(_near(vertices[crop.faces], origin, step, tuple(shape)))
-    distance[near] = np.minimum(closest_points(vertices, crop.faces, nodes[near]).distance, FAR_STEPS * step)
-    far = np.flatnonzero(distance > 0.5 * step)
-    inside = np.zeros(len(nodes), dtype=np.float32)
-    inside[far] = _inside(scene, nodes[far])
+    # Only near the surface does the amount matter; elsewhere the sign does.
+    distance = distances(vertices, crop.faces, grid, FAR_STEPS * step)
+    inside = enclosed(vertices, crop.faces, grid, distance > 0.5 * step).astype(np.float32)
     # A lone node that differs from most of its neighbors was decided by noise.
-    solid = uniform_filter(inside.reshape(shape), 3) > 0.5
-    distance = distance.reshape(shape)
+    solid = uniform_filter(inside, 3) > 0.5
     field = gaussian_filter(np.where(solid, -distance, distance) - SHELL_STEPS * step, SMOOTHING_CELLS, mode="nearest")
-    field = completed(field, axes, low, high, unseen)
+    field = completed(field, grid.axes, low, high, unseen)
     middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.5 * MIN_THICKNESS_M)
-    return SolidField(_grounded(field, axes[2], low[2], step), origin, step, middle - half, middle + half)
-
-
-def _near(triangles: Array, origin: Array, step: float, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Nodes within `FAR_STEPS` cells of triangles, shape (m, 3, 3); all nodes of the grid in order, shape (nx * ny * nz,)."""
-    from scipy.ndimage import distance_transform_edt
-
-    longest = np.sqrt(((triangles - np.roll(triangles, 1, axis=1)) ** 2).sum(axis=2)).max()
-    parts = int(np.clip(np.ceil(longest / step), 1, 24))
-    weights = [(i / parts, j / parts) for i in range(parts + 1) for j in range(parts + 1 - i)]
-    unmarked = np.ones(shape, dtype=bool)
-    for u, v in weights:
-        samples = (1 - u - v) * triangles[:, 0] + u * triangles[:, 1] + v * triangles[:, 2]
-        cell = np.clip(np.rint((samples - origin) / step).astype(np.int64), 0, np.array(shape) - 1)
-        unmarked[cell[:, 0], cell[:, 1], cell[:, 2]] = False
-    # A point of the surface is at most 0.87 cells from its node.
-    return np.asarray(distance_transform_edt(unmarked) < FAR_STEPS + 0.9).ravel()
+    return SolidField(_grounded(field, grid.axes[2], low[2], step), origin, step, middle - half, middle + half)
 
 
 def _smoothed(crop: Surface) -> Array:
@@ -145,27 +112,6 @@ def _smoothed(crop: Surface) -> Array:
     for _ in range(CROP_SMOOTHING_ROUNDS):
         vertices = average @ vertices + vertices / (1 + degree)[:, None]
     return np.asarray(vertices)
-
-
-def _inside(scene: RayScene, nodes: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether rays from nodes, shape (n, 3), tell that they are inside; shape (n,). Nodes that cannot be any more cast no further rays."""
-    count, above = len(_DIRECTIONS), int((_DIRECTIONS[:, 2] >= 0).sum())
-    left, left_above = count, above
-    open_ones = np.arange(len(nodes))
-    backs, backs_above, fronts = (np.zeros(len(nodes), dtype=np.int64) for _ in range(3))
-    for direction in _DIRECTIONS:
-        side = scene.sides(nodes[open_ones], direction)
-        is_above = int(direction[2] >= 0)
-        left, left_above = left - 1, left_above - is_above
-        backs = backs + (side > 0)
-        backs_above = backs_above + is_above * (side > 0)
-        fronts = fronts + (side < 0)
-        closed_in = (backs + left >= INSIDE_SHARE * count) | (backs_above + left_above >= INSIDE_SHARE_ABOVE * above)
-        may = closed_in & (fronts <= FRONT_SHARE * count)
-        open_ones, backs, backs_above, fronts = open_ones[may], backs[may], backs_above[may], fronts[may]
-    inside = np.zeros(len(nodes), dtype=bool)
-    inside[open_ones] = True
-    return inside
 
 
 def _grounded(field: NDArray[np.float32], heights: Array, bottom: float, step: float) -> NDArray[np.float32]:

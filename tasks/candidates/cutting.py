@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.kernels import compile_kernels
+from tasks.kernels import Kernels, compile_kernels
 
 
 def hull_area(plan: NDArray[np.bool_], axis: int = 0, position: int = 0) -> float:
@@ -17,12 +16,28 @@ def hull_area(plan: NDArray[np.bool_], axis: int = 0, position: int = 0) -> floa
 
     The plan is cut before row (axis 0) or column (axis 1) `position`; 0 cuts nothing. Cells touch along edges.
     """
-    return float(_compiled()(np.ascontiguousarray(plan), axis, position))
+    return float(_compiled()["_area"](np.ascontiguousarray(plan), axis, position))
+
+
+def best_cut(plan: NDArray[np.bool_], rows: Sequence[int], columns: Sequence[int]) -> tuple[float, int, int]:
+    """The least area that a cut before one of some rows or columns leaves, its axis and its position; of equal ones the first."""
+    tried = np.array([*((0, row) for row in rows), *((1, column) for column in columns)], dtype=np.int64)
+    area, best = _compiled()["_best"](np.ascontiguousarray(plan), tried)
+    return float(area), int(tried[best, 0]), int(tried[best, 1])
 
 
 @cache
-def _compiled() -> Callable[..., Any]:
-    return compile_kernels(_area)["_area"]
+def _compiled() -> Kernels:
+    return compile_kernels(_area, _best)
+
+
+def _best(plan: NDArray[np.bool_], tried: NDArray[np.int64]) -> tuple[float, int]:
+    least, best = np.inf, 0
+    for n in range(len(tried)):
+        area = _area(plan, tried[n, 0], tried[n, 1])
+        if area < least:
+            least, best = area, n
+    return least, best
 
 
 def _area(plan: NDArray[np.bool_], axis: int, position: int) -> float:

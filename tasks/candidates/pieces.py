@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.candidates.closing import SolidField
-from tasks.candidates.cutting import hull_area
+from tasks.candidates.cutting import best_cut, hull_area
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -115,19 +115,21 @@ def _convex_parts(plan: Mask, cuts: int) -> list[Mask]:
     area = hull_area(plan)
     if cuts == 0 or plan.sum() >= CONVEXITY * area or plan.sum() < 4:
         return [plan]
-    best, best_axis, best_position = np.inf, 0, 0
-    for axis in (0, 1):
-        spread = np.flatnonzero(plan.any(axis=1 - axis))
-        for position in np.unique(np.linspace(spread[0] + 1, spread[-1], CUT_POSITIONS).astype(int)):
-            total = hull_area(plan, axis, int(position))
-            if total < best:
-                best, best_axis, best_position = total, axis, int(position)
+    best, best_axis, best_position = best_cut(plan, *(_positions(plan.any(axis=1 - axis)) for axis in (0, 1)))
     if best > WORTHWHILE * area:
         return [plan]
     side = np.zeros(plan.shape, dtype=bool)
     np.moveaxis(side, best_axis, 0)[:best_position] = True
     bodies = _bodies(plan & side) + _bodies(plan & ~side)
     return [part for body in bodies for part in _convex_parts(body, cuts - 1)]
+
+
+def _positions(filled: NDArray[np.bool_]) -> list[int]:
+    """Where a part is cut along an axis, by which of its rows are filled."""
+    rows = np.flatnonzero(filled)
+    first, last = int(rows[0]) + 1, int(rows[-1])
+    step = (last - first) / (CUT_POSITIONS - 1)
+    return sorted({*(int(k * step + first) for k in range(CUT_POSITIONS - 1)), last})
 
 
 def _outline(plan: Mask) -> Array:

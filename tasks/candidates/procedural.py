@@ -41,7 +41,7 @@ def procedural_asset(request: CandidateRequest, provider: Procedural) -> MadeAss
         category=model.category,
         source="furniture generator",
         license="CC0-1.0",
-        pieces=model.pieces,
+        pieces=model.hulls,
     )
 
 

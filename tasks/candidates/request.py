@@ -16,7 +16,7 @@ from tasks.alignment import AlignmentConfig, ScannedInstance, instance_frame
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.closing import SolidField, solid_field
 from tasks.candidates.completion import Unseen
-from tasks.candidates.provider import NothingToOffer
+from tasks.candidates.provider import NothingToOffer, ProviderConfig
 from tasks.candidates.retrieval import Retrieval
 from tasks.candidates.scan_crop import crop_of, pieces_of_crop
 from tasks.captions.colors import name_colors, word_rgb
@@ -51,7 +51,8 @@ NO_POINTS = "the points of the instance are not among the blobs"
 class CandidateRequest:
     """An instance to be stood in for, how the library is searched where one is given, and the scene's objects. frame, mask: Of its best
     view, as far as they are known. views: Frames that show it, and unseen, why there are none. filled: Assets of slots that are filled
-    already, by slot, for those that paint them. What is computed once for several slots is a property."""
+    already, by slot, for those that paint them. drawn: What providers drew that draw looks, for those that look alike. What is computed
+    once for several slots is a property."""
 
     instance: Instance
     caption: Caption | None
@@ -63,6 +64,7 @@ class CandidateRequest:
     views: Sequence[ColorView] = ()
     unseen: str = ""
     filled: dict[int, MadeAsset] = dataclasses.field(default_factory=dict, repr=False, compare=False)
+    drawn: dict[ProviderConfig, MadeAsset] = dataclasses.field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
     def target(self) -> tuple[NDArray[np.float64], ScannedInstance]:

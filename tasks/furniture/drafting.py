@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,13 +24,20 @@ Extents = tuple[float, float, float]
 class FurnitureModel:
     """A generated object in the canonical frame: +Z up, front +X, origin at the bottom center of its box [m].
 
-    parts: What is seen, closed volumes with vertex colors. pieces: Convex closed meshes that together cover the parts.
+    parts: What is seen, closed volumes with vertex colors. hulls: Convex pieces that together cover the parts.
     """
 
     name: str
     category: str
     parts: list[trimesh.Trimesh]
-    pieces: list[trimesh.Trimesh]
+    hulls: list[Hull]
+
+    @cached_property
+    def pieces(self) -> list[trimesh.Trimesh]:
+        """The pieces as closed meshes."""
+        import trimesh
+
+        return [trimesh.Trimesh(hull.vertices, hull.faces, process=False) for hull in self.hulls]
 
 
 class Draft:
@@ -109,9 +117,6 @@ class Draft:
         scale = np.array(extents) / np.maximum(high - low, 1e-9)
         center = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
 
-        def mesh(hull: Hull | Solid) -> trimesh.Trimesh:
-            return trimesh.Trimesh((hull.vertices - center) * scale, hull.faces, process=False)
-
         parts, order = [], list(dict.fromkeys(part for part, _, _ in self._solids))
         for name in order:
             solids = [(color, solid) for part, color, solid in self._solids if part == name]
@@ -121,13 +126,13 @@ class Draft:
             colors: NDArray[np.uint8] = np.concatenate(
                 [np.tile(np.array([*c, 255], dtype=np.uint8), (len(s.vertices), 1)) for c, s in solids]
             )
-            part = mesh(Solid(vertices, faces, ()))
+            part = trimesh.Trimesh((vertices - center) * scale, faces, process=False)
             part.visual = trimesh.visual.ColorVisuals(part, vertex_colors=colors)
             part.metadata["name"] = name
             parts.append(part)
-        pieces = [mesh(piece) for _, _, solid in self._solids for piece in solid.pieces]
+        hulls = [Hull((piece.vertices - center) * scale, piece.faces) for _, _, solid in self._solids for piece in solid.pieces]
         name = f"{self.variant} {self.category}" if self.variant else self.category
-        return FurnitureModel(name, self.category, parts, pieces)
+        return FurnitureModel(name, self.category, parts, hulls)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.geometry.pieces import Hull
-from tasks.geometry.triangles import crosses, distinct_rows
+from tasks.geometry.triangles import crosses
+from tasks.kernels import Kernels, compile_kernels
 
 Array = NDArray[np.float64]
 Span = tuple[float, float]
@@ -65,24 +67,83 @@ def hull(points: ArrayLike) -> Hull:
     a, b, c = (cloud[faces[:, i]] for i in range(3))
     inward = np.einsum("nd,nd->n", crosses(b - a, c - a), convex.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
-    used, dense = np.unique(faces, return_inverse=True)
-    return Hull(cloud[used], dense.reshape(-1, 3))
+    used = np.zeros(len(cloud), dtype=bool)
+    used[faces] = True
+    return Hull(cloud[used], (np.cumsum(used) - 1)[faces])
 
 
 def loft(rings: ArrayLike) -> Hull:
     """Closed mesh through rings, shape (k, m, 3), each counter-clockwise seen from the next one. Convex if they are."""
-    stack = np.asarray(rings, dtype=np.float64)
-    count, size = stack.shape[:2]
-    lower = np.arange(count - 1)[:, None] * size + np.arange(size)
-    after = np.arange(count - 1)[:, None] * size + (np.arange(size) + 1) % size
-    sides = np.concatenate([np.stack([lower, after, after + size], -1), np.stack([lower, after + size, lower + size], -1)])
-    fan = np.stack([np.zeros(size - 2, dtype=np.int64), np.arange(1, size - 1), np.arange(2, size)], axis=1)
-    faces = np.concatenate([sides.reshape(-1, 3), fan[:, ::-1], fan + (count - 1) * size])
-    points = stack.reshape(-1, 3)
-    first, dense = distinct_rows(np.round(points / _MERGE_M).astype(np.int64))
-    faces = dense[faces]
-    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return Hull(points[first], faces[whole])
+    return Hull(*_compiled()["_lofted"](np.ascontiguousarray(rings, dtype=np.float64), _MERGE_M))
+
+
+@cache
+def _compiled() -> Kernels:
+    return compile_kernels(_is_after, _ascending, _lofted)
+
+
+def _is_after(keys: NDArray[np.int64], a: int, b: int) -> bool:
+    """Whether a row lies after another one in ascending order; of equal ones the later one does."""
+    for d in range(keys.shape[1]):
+        if keys[a, d] != keys[b, d]:
+            return bool(keys[a, d] > keys[b, d])
+    return a > b
+
+
+def _ascending(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows in ascending order, by merging ever longer runs."""
+    n, width = len(keys), 1
+    order, merged = np.arange(n), np.arange(n)
+    while width < n:
+        for start in range(0, n, 2 * width):
+            left, right, middle, end = start, start + width, min(start + width, n), min(start + 2 * width, n)
+            for at in range(start, end):
+                if left < middle and (right >= end or not _is_after(keys, order[left], order[right])):
+                    merged[at] = order[left]
+                    left += 1
+                else:
+                    merged[at] = order[right]
+                    right += 1
+        order, merged, width = merged, order, 2 * width
+    return order
+
+
+def _lofted(rings: Array, merge: float) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices and faces of a loft; faces that are lines once near points are one are left out."""
+    count, size = rings.shape[:2]
+    n, points = count * size, rings.reshape(-1, 3)
+    keys = np.empty((n, 3), dtype=np.int64)
+    for i in range(n):
+        for d in range(3):
+            keys[i, d] = np.int64(np.rint(points[i, d] / merge))
+    order, place, places = _ascending(keys), np.empty(n, dtype=np.int64), 0
+    vertices = np.empty((n, 3))
+    for m in range(n):
+        i, j = order[m], order[m - 1]
+        if m == 0 or keys[i, 0] != keys[j, 0] or keys[i, 1] != keys[j, 1] or keys[i, 2] != keys[j, 2]:
+            vertices[places] = points[i]
+            places += 1
+        place[i] = places - 1
+    sides, fan = (count - 1) * size, size - 2
+    faces, kept = np.empty((2 * sides + 2 * fan, 3), dtype=np.int64), 0
+    for f in range(len(faces)):
+        if f < 2 * sides:
+            ring, at = f % sides // size * size, f % size
+            after = (at + 1) % size
+            a, b, c = ring + at, ring + after, ring + size + after
+            if f >= sides:
+                b, c = c, ring + size + at
+        elif f < 2 * sides + fan:
+            m = f - 2 * sides
+            a, b, c = m + 2, m + 1, 0
+        else:
+            m = f - 2 * sides - fan
+            a, b, c = sides, sides + m + 1, sides + m + 2
+        a, b, c = place[a], place[b], place[c]
+        if a != b and b != c and c != a:
+            faces[kept, 0], faces[kept, 1], faces[kept, 2] = a, b, c
+            kept += 1
+    return vertices[:places].copy(), faces[:kept].copy()
 
 
 def convex(rings: ArrayLike) -> Solid:
@@ -228,9 +289,9 @@ def sweep(path: ArrayLike, width: ArrayLike, height: ArrayLike, count: int = 8, 
     n = len(line)
     ahead = np.gradient(line, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1)[:, None]
-    side = np.cross(np.broadcast_to(np.asarray(up, dtype=np.float64), ahead.shape), ahead)
+    side = crosses(np.broadcast_to(np.asarray(up, dtype=np.float64), ahead.shape), ahead)
     side /= np.linalg.norm(side, axis=1)[:, None]
-    over = np.cross(ahead, side)
+    over = crosses(ahead, side)
     section = square() if count == 4 else circle(count)
     w, h = (np.broadcast_to(np.asarray(v, dtype=np.float64), (n,)) for v in (width, height))
     rings = line[:, None] + 0.5 * (

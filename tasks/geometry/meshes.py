@@ -333,7 +333,7 @@ def sample_surface(
     lengths = np.linalg.norm(crosses, axis=1)
     if not lengths.sum() > 0:
         raise ValueError("surface: has no area")
-    face, weights = spread(surface.vertices, surface.faces, count, rng)
+    face, weights = spread(surface.vertices, surface.faces, count, rng, lengths)
     corners = surface.faces[face]
     points = np.einsum("nk,nkd->nd", weights, surface.vertices[corners])
     colors = np.einsum("nk,nkd->nd", weights, surface.colors[corners].astype(np.float64))

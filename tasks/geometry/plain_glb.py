@@ -72,24 +72,27 @@ def write_plain(bodies: Sequence[PlainBody]) -> bytes | None:
     accessors: list[dict[str, Any]] = []
     known: dict[tuple[int, str], int] = {}
 
-    def accessor(kind: Mapping[str, Any], data: NDArray[Any]) -> int:
-        view = views.setdefault(data.tobytes(), len(views))
+    def accessor(kind: Mapping[str, Any], data: bytes, count: int, most: list[Any], least: list[Any]) -> int:
+        view = views.setdefault(data, len(views))
         key = (view, str(kind["type"]))
         if key not in known:
             known[key] = len(accessors)
-            rows = data.reshape(-1, 1) if kind is _FACES else data
-            accessors.append(
-                {**kind, "bufferView": view, "count": len(rows), "max": rows.max(axis=0).tolist(), "min": rows.min(axis=0).tolist()}
-            )
+            accessors.append({**kind, "bufferView": view, "count": count, "max": most, "min": least})
         return known[key]
 
+    x, y, z = np.concatenate([np.asarray(body.vertices, dtype=np.float64) for body in bodies]).T
+    places = _Rows((np.column_stack([x, z, -y]) + 0.0).astype(np.float32), [len(body.vertices) for body in bodies])  # no negative zeros
+    corners = _Rows(
+        np.concatenate([np.asarray(body.faces).reshape(-1, 1) for body in bodies]).astype(np.uint32), [body.faces.size for body in bodies]
+    )
     meshes = []
-    for body in bodies:
-        indices = accessor(_FACES, np.ascontiguousarray(body.faces, dtype=np.uint32))
-        x, y, z = np.asarray(body.vertices, dtype=np.float64).T
-        attributes = {"POSITION": accessor(_POINTS, (np.column_stack([x, z, -y]) + 0.0).astype(np.float32))}  # no negative zeros
+    for number, body in enumerate(bodies):
+        indices = accessor(_FACES, *corners.of(number))
+        attributes = {"POSITION": accessor(_POINTS, *places.of(number))}
         if body.colors is not None:
-            attributes["COLOR_0"] = accessor(_COLORS, np.ascontiguousarray(body.colors, dtype=np.uint8))
+            colors = np.ascontiguousarray(body.colors, dtype=np.uint8)
+            limits = colors.max(axis=0).tolist(), colors.min(axis=0).tolist()
+            attributes["COLOR_0"] = accessor(_COLORS, colors.tobytes(), len(colors), *limits)
         meshes.append({"name": body.name, "extras": {}, "primitives": [{"attributes": attributes, "indices": indices, "mode": _TRIANGLES}]})
     starts = np.cumsum([0, *(len(view) for view in views)]).tolist()
     tree = {
@@ -106,6 +109,20 @@ def write_plain(bodies: Sequence[PlainBody]) -> bytes | None:
     text += b" " * (4 - (len(text) + 20) % 4)
     head = struct.pack("<4sIIII", b"glTF", 2, len(text) + starts[-1] + 28, len(text), 0x4E4F534A)
     return b"".join([head, text, struct.pack("<II", starts[-1], 0x004E4942), *views])
+
+
+class _Rows:
+    """Rows of all bodies, with how many are of each: what an accessor says of them is found for all at once."""
+
+    def __init__(self, rows: NDArray[Any], counts: Sequence[int]) -> None:
+        ends = np.cumsum(counts)
+        self._rows, self._bounds, starts = rows, list(zip((ends - counts).tolist(), ends.tolist(), strict=True)), ends - counts
+        self._most, self._least = (limit.reduceat(rows, starts, axis=0).tolist() for limit in (np.maximum, np.minimum))
+
+    def of(self, number: int) -> tuple[bytes, int, list[Any], list[Any]]:
+        """Bytes and count of the rows of a body, and the largest and least numbers in each column."""
+        first, last = self._bounds[number]
+        return self._rows[first:last].tobytes(), last - first, self._most[number], self._least[number]
 
 
 def read_plain(data: bytes, document: Mapping[str, Any]) -> list[PlainBody] | None:

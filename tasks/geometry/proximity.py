@@ -41,11 +41,11 @@ def closest_points(vertices: ArrayLike, faces: ArrayLike, points: ArrayLike) -> 
         raise ValueError("closest points: the mesh has no triangle")
     if not (np.isfinite(places[triangles]).all() and np.isfinite(asked).all()):
         raise ValueError("closest points: a coordinate is not finite")
-    square, face, point = igl.point_mesh_squared_distance(asked, places, _without_slivers(places, triangles))
+    square, face, point = igl.point_mesh_squared_distance(asked, places, without_slivers(places, triangles))
     return Closest(np.sqrt(square), face, point)
 
 
-def _without_slivers(vertices: Array, faces: Integers) -> Integers:
+def without_slivers(vertices: Array, faces: Integers) -> Integers:
     """Faces with those that are flat but for rounding replaced by their longest edge: two corners, the second one twice."""
     corners = vertices[faces]
     edges = np.roll(corners, -1, axis=1) - corners

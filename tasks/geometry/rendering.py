@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tasks.geometry.meshes import material_of, sample_texture, vertex_colors
+from tasks.kernels import Kernels, compile_kernels
 
 if TYPE_CHECKING:
     import trimesh
@@ -23,6 +25,13 @@ NOTHING = 0xFFFFFFFF
 
 TOUCH_M = 0.003
 """What lies so little behind what a ray meets is met by it: rays are single precision, and sheets have that thickness."""
+
+
+Window = tuple[slice, slice]
+"""Rows and columns of a picture."""
+
+WHOLE: Window = (slice(None), slice(None))
+"""The window that is the whole picture."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,12 +57,13 @@ class Camera:
         focal = 0.5 * width / np.tan(0.5 * horizontal_fov_radians)
         return Camera(pose, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), width, height)
 
-    def rays(self) -> NDArray[np.float32]:
-        """Origin and direction per pixel in the world frame, shape (height, width, 6). Directions have z = 1 in the
+    def rays(self, window: Window = WHOLE) -> NDArray[np.float32]:
+        """Origin and direction per pixel of a window in the world frame, shape (rows, columns, 6). Directions have z = 1 in the
         camera frame, so a hit's parameter is its depth [m]."""
-        u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
-        local = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], axis=-1)
-        rays = np.empty((self.height, self.width, 6), dtype=np.float32)
+        rows, columns = np.arange(self.height, dtype=np.float64)[window[0]], np.arange(self.width, dtype=np.float64)[window[1]]
+        local = np.ones((len(rows), len(columns), 3))
+        local[..., 0], local[..., 1] = (columns - self.cx) / self.fx, ((rows - self.cy) / self.fy)[:, None]
+        rays = np.empty((len(rows), len(columns), 6), dtype=np.float32)
         rays[..., :3] = self.pose[:3, 3]
         rays[..., 3:] = local @ self.pose[:3, :3].T
         return rays
@@ -65,6 +75,15 @@ class Camera:
         safe = np.where(np.abs(depth) < 1e-9, 1e-9, depth)
         return np.stack([self.fx * local[:, 0] / safe + self.cx, self.fy * local[:, 1] / safe + self.cy], axis=1), depth
 
+    def window(self, points: NDArray[np.float64]) -> Window:
+        """Pixels that may show what lies within the convex hull of points, shape (n, 3): all of them where one is not before the camera."""
+        pixel, depth = self.project(points)
+        if not len(points) or depth.min() <= TOUCH_M:
+            return WHOLE
+        low, high = np.floor(pixel.min(axis=0)) - 1, np.ceil(pixel.max(axis=0)) + 2  # rays are single precision
+        (left, top), (right, bottom) = np.clip([low, high], 0, [self.width, self.height]).astype(np.int64).tolist()
+        return slice(top, max(bottom, top)), slice(left, max(right, left))
+
 
 @dataclasses.dataclass(frozen=True)
 class Rendering:
@@ -75,6 +94,14 @@ class Rendering:
     part: NDArray[np.int64]
     color: NDArray[np.uint8]
     normal: NDArray[np.float32]
+
+    def framed(self, height: int, width: int, window: Window, background: tuple[int, int, int]) -> Rendering:
+        """What is seen in a window as a whole picture, with nothing around it."""
+        depth, part = np.full((height, width), np.inf, dtype=np.float32), np.full((height, width), -1, dtype=np.int64)
+        color, normal = np.empty((height, width, 3), dtype=np.uint8), np.zeros((height, width, 3), dtype=np.float32)
+        color[:] = background
+        depth[window], part[window], color[window], normal[window] = self.depth, self.part, self.color, self.normal
+        return Rendering(depth, part, color, normal)
 
 
 class RayScene:
@@ -133,40 +160,27 @@ class RayScene:
             hits["primitive_normals"][hit] = normal / np.where(length > 0, length, 1)
         return {name: values.reshape(*shape, *values.shape[1:]) for name, values in hits.items()}
 
-    def sides(self, origins: NDArray[np.float32], direction: NDArray[np.float32]) -> NDArray[np.int8]:
-        """Which side of a face rays from points, shape (n, 3), into one direction meet first: 1 its back, -1 its front or its edge, 0
-        nothing; shape (n,)."""
-        met = np.zeros(len(origins), dtype=np.int8)
-        if self._scene is not None and len(origins):
-            directions = np.tile(np.asarray(direction, dtype=np.float32), (len(origins), 1))
-            answer = self._scene.run(np.ascontiguousarray(origins, dtype=np.float32), directions, output=True)
-            leaving = np.einsum("nd,d->n", np.asarray(answer["Ng"], dtype=np.float32), directions[0]) > 0
-            met[:] = np.where(np.asarray(answer["primID"]) >= 0, np.where(leaving, 1, -1), 0)
-        return met
-
     def render(
         self,
         camera: Camera,
         background: tuple[int, int, int] = (255, 255, 255),
         shade: bool = True,
         rays: NDArray[np.float32] | None = None,
+        window: Window = WHOLE,
     ) -> Rendering:
         """Depth, part and color from a camera. `shade` darkens faces that turn away from the camera and from above.
 
-        `rays` are the camera's, where they are known already.
+        `rays` are the camera's, where they are known already. Outside of a window nothing is seen.
         """
-        hits = self.cast(camera.rays() if rays is None else rays)
-        depth = hits["t_hit"].astype(np.float32)
-        seen = np.isfinite(depth)
-        part = np.where(seen, hits["geometry_ids"].astype(np.int64), -1)
-        color = self.colors(hits, background)
-        normal = hits["primitive_normals"].astype(np.float32)
+        hits = self.cast(camera.rays(window) if rays is None else rays[window])
+        seen = np.isfinite(hits["t_hit"])
+        color, normal = self.colors(hits, background), hits["primitive_normals"]
         if shade:
-            forward = camera.pose[:3, 2].astype(np.float32)
-            facing = np.abs(normal @ forward)
-            light = 0.55 + 0.3 * facing + 0.15 * np.abs(normal[..., 2])
-            color[seen] = np.clip(color[seen] * light[seen][:, None], 0, 255).astype(np.uint8)
-        return Rendering(depth, part, color, normal)
+            met, forward = normal[seen], camera.pose[:3, 2].astype(np.float32)
+            light = 0.55 + 0.3 * np.abs(met @ forward) + 0.15 * np.abs(met[:, 2])
+            color[seen] = np.clip(color[seen] * light[:, None], 0, 255).astype(np.uint8)
+        drawn = Rendering(hits["t_hit"], np.where(seen, hits["geometry_ids"].astype(np.int64), -1), color, normal)
+        return drawn if window == WHOLE else drawn.framed(camera.height, camera.width, window, background)
 
     def colors(self, hits: dict[str, NDArray[Any]], background: tuple[int, int, int] = (255, 255, 255)) -> NDArray[np.uint8]:
         """Color of the surface at hits of `cast`, shape (..., 3); the background where there is none."""
@@ -176,8 +190,9 @@ class RayScene:
         part, face = hits["geometry_ids"].reshape(-1), hits["primitive_ids"].reshape(-1)
         bary, painted = hits["primitive_uvs"].reshape(-1, 2), color.reshape(-1, 3)
         hit = np.flatnonzero(seen)
-        kind = np.uint16 if len(self.parts) < 2**16 else np.uint32  # short numbers are sorted in one pass
-        hit = hit[np.argsort(part[hit].astype(kind), kind="stable")]  # pixels part by part
+        if len(self.parts) > 1:
+            kind = np.uint16 if len(self.parts) < 2**16 else np.uint32  # short numbers are sorted in one pass
+            hit = hit[np.argsort(part[hit].astype(kind), kind="stable")]  # pixels part by part
         ends = np.cumsum(np.bincount(part[hit].astype(np.int64), minlength=1))
         for index, (start, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
             if end > start:
@@ -192,12 +207,32 @@ class RayScene:
             visual: Any = part.visual
             textured = visual.kind == "texture" and visual.uv is not None and len(visual.uv) == len(part.vertices)
             image, factor = material_of(part) if textured else (None, None)
-            self._looks[index] = (image, factor, np.asarray(visual.uv) if image is not None else vertex_colors(part))
+            colors = np.asarray(visual.uv) if image is not None else np.ascontiguousarray(vertex_colors(part))
+            self._looks[index] = (image, factor, colors)
         image, factor, values = self._looks[index]
-        corners = values[np.asarray(part.faces)[face]]
+        corners = np.asarray(part.faces, dtype=np.int64)[face]
+        if image is None:
+            return np.asarray(_compiled()["_blended"](values, corners, bary))
         weights = np.column_stack([1 - bary.sum(axis=1), bary])
-        blended = np.einsum("nk,nkd->nd", weights, corners.astype(np.float64))
-        return sample_texture(image, blended, factor) if image is not None else np.clip(np.round(blended), 0, 255).astype(np.uint8)
+        return sample_texture(image, np.einsum("nk,nkd->nd", weights, values[corners].astype(np.float64)), factor)
+
+
+@cache
+def _compiled() -> Kernels:
+    return compile_kernels(_blended)
+
+
+def _blended(colors: NDArray[np.uint8], corners: NDArray[np.int64], bary: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Colors of vertices, shape (n, 3), at places in triangles, whose corners have shape (m, 3)."""
+    blended = np.empty((len(corners), 3), dtype=np.uint8)
+    for i in range(len(corners)):
+        second, third = bary[i, 0], bary[i, 1]
+        first = np.float32(1.0) - (second + third)
+        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+        for k in range(3):
+            value = np.float64(first) * colors[a, k] + np.float64(second) * colors[b, k] + np.float64(third) * colors[c, k]
+            blended[i, k] = np.uint8(min(max(np.rint(value), 0.0), 255.0))
+    return blended
 
 
 def in_picture(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.bool_]:

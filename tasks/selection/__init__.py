@@ -73,6 +73,9 @@ def run(
     degradations: list[str] = []
     rankings: dict[str, list[Selection]] = {}
     gathered = gather(instances, candidates, assets, context, config, degradations, captions=captions, frames=frames, masks=masks)
+    prepare = method_of(config.provider).prepare
+    if prepare is not None:
+        prepare([each.asset for _, evidence in gathered for each in evidence], context, config.provider, model)
     for query, evidence in gathered:
         scores, provider, version, lacks = scored(query, evidence, config.provider, model)
         if lacks is not None:

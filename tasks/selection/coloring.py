@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.captions.colors import lab
+from tasks.kernels import Kernels, compile_kernels
 
 Array = NDArray[np.float64]
 
@@ -30,15 +33,31 @@ def color_histogram(rgb: ArrayLike) -> Array:
             np.clip((values[:, 1:] + HUE_REACH) / (2 * HUE_REACH), 0, 1) * (HUE_BINS - 1),
         ]
     )
-    shape = np.array([LIGHTNESS_BINS, HUE_BINS, HUE_BINS])
-    base = np.minimum(np.floor(position).astype(np.int64), shape - 2)
-    part = position - base
-    histogram = np.zeros(int(shape.prod()))
-    for corner in np.ndindex(2, 2, 2):
-        weight = np.prod(np.where(np.array(corner) == 1, part, 1 - part), axis=1)
-        cell = base + np.array(corner)
-        histogram += np.bincount((cell[:, 0] * HUE_BINS + cell[:, 1]) * HUE_BINS + cell[:, 2], weight, histogram.size)
+    histogram = _compiled()["_shared"](position, np.array([LIGHTNESS_BINS, HUE_BINS, HUE_BINS]))
     return np.asarray(histogram / max(histogram.sum(), 1e-12))
+
+
+@cache
+def _compiled() -> Kernels:
+    return compile_kernels(_shared)
+
+
+def _shared(position: Array, shape: NDArray[np.int64]) -> Array:
+    """How much of points falls to each bin of a grid, shape (bins,), corner by corner of the cells that they are in."""
+    histogram = np.zeros(shape[0] * shape[1] * shape[2])
+    for corner in range(8):
+        part = np.zeros(len(histogram))
+        for i in range(len(position)):
+            weight, bin_ = 1.0, 0
+            for d in range(3):
+                base = min(np.floor(position[i, d]), shape[d] - 2.0)
+                far = corner >> (2 - d) & 1
+                share = position[i, d] - base
+                weight *= share if far else 1.0 - share
+                bin_ = bin_ * shape[d] + int(base) + far
+            part[bin_] += weight
+        histogram += part
+    return histogram
 
 
 def color_similarity(first: Array, second: Array) -> float:

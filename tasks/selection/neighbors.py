@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from schemas.capture import Instance
 from tasks.alignment.distances import nearest_indices
 from tasks.geometry.meshes import read_points
+from tasks.geometry.triangles import distinct_rows
 from tasks.mounting import mounting
 
 Array = NDArray[np.float64]
@@ -68,7 +69,8 @@ class Neighborhood:
 
 def cubes(points: Array) -> Array:
     """Middles of the cubes that points are in [m], shape (n, 3) to (m, 3)."""
-    return np.asarray((np.unique(np.floor(points / CELL_M).astype(np.int64), axis=0) + 0.5) * CELL_M)
+    cells = np.floor(points / CELL_M).astype(np.int64)
+    return np.asarray((cells[distinct_rows(cells)[0]] + 0.5) * CELL_M)
 
 
 def foreign_share(foreign: Array, own: int, placed: Array, normals: Array) -> float:

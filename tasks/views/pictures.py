@@ -60,10 +60,11 @@ def seen_from(ways: Iterable[tuple[float, float]], parts: Sequence[trimesh.Trime
     low, high = corners.min(axis=0), corners.max(axis=0)
     middle, radius = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
     far = radius / np.sin(0.5 * FOV_RADIANS)
-    scene = RayScene(parts)
+    scene, points = RayScene(parts), np.concatenate([np.asarray(part.vertices) for part in parts])
     pictures, width = [], round(DRAWN * side)
     for pitch, yaw in ways:
         way = np.array([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)])
-        drawn = scene.render(Camera.with_fov(look_at(middle + far * way, middle), width, width, FOV_RADIANS))
+        camera = Camera.with_fov(look_at(middle + far * way, middle), width, width, FOV_RADIANS)
+        drawn = scene.render(camera, window=camera.window(points))
         pictures.append(filling(drawn.color, drawn.part >= 0, side))
     return np.stack(pictures)

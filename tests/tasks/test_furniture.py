@@ -121,6 +121,28 @@ def test_impossible_extents_are_refused(extents: tuple[float, float, float]) -> 
         furniture.generate("chair", extents, np.random.default_rng(0))
 
 
+@given(seed=SEEDS, count=st.integers(2, 6), size=st.integers(3, 30), decimals=st.integers(0, 3), collapsed=st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_a_loft_is_what_numpy_makes_of_its_rings(seed: int, count: int, size: int, decimals: int, collapsed: bool) -> None:
+    rings = np.round(np.random.default_rng(seed).normal(size=(count, size, 3)), decimals)  # with points that coincide
+    if collapsed:
+        rings[0] = rings[0, 0]
+    points, faces = rings.reshape(-1, 3), []
+    for second in (False, True):
+        for ring in range(count - 1):
+            for at in range(size):
+                a, b = ring * size + at, ring * size + (at + 1) % size
+                faces.append((a, b + size, a + size) if second else (a, b, b + size))
+    fan = [(0, k + 1, k + 2) for k in range(size - 2)]
+    faces += [face[::-1] for face in fan] + [tuple(corner + (count - 1) * size for corner in face) for face in fan]
+    _, first, place = np.unique(np.round(points / 1e-9).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    corners = place.reshape(-1)[np.array(faces)]
+    whole = [len(set(face)) == 3 for face in corners.tolist()]
+    made = solids.loft(rings)
+    assert np.array_equal(made.vertices, points[first])
+    assert np.array_equal(made.faces, corners[whole])
+
+
 def test_solids_have_the_volume_that_geometry_gives_them() -> None:
     def volume(hull) -> float:
         a, b, c = (hull.vertices[hull.faces[:, i]] for i in range(3))

@@ -14,7 +14,9 @@ from tasks.models import Model
 from tasks.settings import Config
 
 if TYPE_CHECKING:
+    from schemas.candidates import Asset
     from tasks.selection.evidence import Evidence, InstanceQuery
+    from tasks.stage import Context
 
 Array = NDArray[np.float64]
 
@@ -42,7 +44,8 @@ class SelectionMethod:
     as a config says, with the model where it needs one: shape (k,), in 0..1, higher is better; Lacking where it cannot. needs: What must be
     there. An instance without image, text or model is not scored by it. label: Its version in rows, where that hangs on its config too.
     check: Raises an InputError where a config does not name what the method needs; asked before anything is aligned. is_geometric:
-    Whether a config's scores are geometric ones or near to them: what loses little of them fits nearly as well, whoever chose.
+    Whether a config's scores are geometric ones or near to them: what loses little of them fits nearly as well, whoever chose. prepare:
+    Makes what scoring takes of assets, for those of all candidates at once.
     """
 
     name: str
@@ -53,6 +56,7 @@ class SelectionMethod:
     label: Callable[[Any, Model | None], str] | None = None
     check: Callable[[Any], None] | None = None
     is_geometric: Callable[[Any], bool] = lambda config: False
+    prepare: Callable[[Sequence[Asset], Context, Any, Model | None], None] | None = None
 
     def row_version(self, config: MethodConfig, model: Model | None) -> str:
         """The version as rows have it: with what else the scores follow from."""

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from schemas.candidates import Asset
 from schemas.errors import InputError
 from tasks.geometry.transforms import yaw_pose
 from tasks.models import Model
 from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.method import Array, Lacking, SelectionMethod, chances
 from tasks.settings import Config, Share
-from tasks.stage import WantedModel
+from tasks.stage import Context, WantedModel
 
 if TYPE_CHECKING:
     from tasks.selection.model.config import SelectionModel
@@ -61,6 +62,15 @@ def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ModelSco
     least = max(best - config.within, 0.0)
     competes = fit >= least
     return np.where(competes, least + (best - least) * chances(np.where(competes, logits, -np.inf)), fit)
+
+
+def prepare(assets: Sequence[Asset], context: Context, config: ModelScores, model: Model | None) -> None:
+    """Remember the clouds of assets."""
+    from tasks.selection.model import sight
+
+    if model is not None:
+        own = _scorer(model.model_id, model.weights, model.config).config
+        sight.remember_clouds((asset.mesh_blob for asset in assets), context, own, context.caches[sight.__name__])
 
 
 MOST_WITHIN = 0.1
@@ -119,5 +129,5 @@ def label(config: ModelScores, model: Model | None) -> str:
 
 
 MODEL = SelectionMethod(
-    name="model", config=ModelScores, version="2", score=score, needs=("model",), label=label, is_geometric=is_geometric
+    name="model", config=ModelScores, version="2", score=score, needs=("model",), label=label, is_geometric=is_geometric, prepare=prepare
 )

@@ -81,19 +81,18 @@ def _compiled() -> Kernels:
 
 
 def _farthest(points: NDArray[np.float64], count: int, start: int) -> NDArray[np.int64]:
-    n = points.shape[0]
+    n, places = points.shape[0], points.T.copy()
     nearest, chosen = np.full(n, np.inf), np.empty(count, dtype=np.int64)
     last = start
     for place in range(count):
         chosen[place] = last
         nearest[last] = -1.0
-        x, y, z = points[last, 0], points[last, 1], points[last, 2]
+        x, y, z = places[0, last], places[1, last], places[2, last]
         far, best = -1.0, last
         for i in range(n):
-            if nearest[i] < 0.0:
-                continue
-            a, b, c = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
-            nearest[i] = min(nearest[i], a * a + b * b + c * c)
+            a, b, c = places[0, i] - x, places[1, i] - y, places[2, i] - z
+            nearest[i] = min(nearest[i], a * a + b * b + c * c)  # what was chosen stays below zero
+        for i in range(n):
             if nearest[i] > far:
                 far, best = nearest[i], i
         last = best

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Iterable, Mapping, MutableMapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from tasks.selection.model.clouds import Array, ColoredCloud, packed, spread_clo
 from tasks.selection.model.config import NoQuery, OwnImage, SelectionModel
 from tasks.selection.model.features import Scanned, square_crop
 from tasks.settings import adapter
+from tasks.stage import Context
 
 LEAST_CLOUD = 512
 """Points that an asset's cloud has at least, for distances point by point."""
@@ -49,13 +51,44 @@ def surface_cloud(mesh_blob: str, blobs: Mapping[str, bytes], config: SelectionM
         KeyError: it is not among the blobs.
     """
     count = asset_points(config)
-    key = f"surface {mesh_blob} {count}"
+    key = _key(mesh_blob, count)
     data = memory.get(key)
     if data is None:
-        rng = np.random.default_rng(list(hashlib.sha256(key.encode()).digest()))
-        points, colors, normals = sample_surface(surface_of_glb(blobs[mesh_blob], mesh_blob), 2 * count, rng)
-        data = memory[key] = packed(spread_cloud(points, colors, count, normals))
+        data = memory[key] = _surface_cloud(mesh_blob, blobs[mesh_blob], count)
     return data
+
+
+PARTS = 8
+"""Parts that meshes are dealt out to, for as many cores as there are: few enough that handing them over costs little."""
+
+
+def remember_clouds(mesh_blobs: Iterable[str], context: Context, config: SelectionModel, memory: MutableMapping[str, bytes]) -> None:
+    """Make clouds of surfaces that a memory lacks at once, in other processes where cores are free. What cannot be made is left out."""
+    count = asset_points(config)
+    lacked = [name for name in dict.fromkeys(mesh_blobs) if name in context.blobs and _key(name, count) not in memory]
+    work = [(count, {name: context.blobs[name] for name in lacked[k::PARTS]}) for k in range(min(PARTS, len(lacked)))]
+    for made in context.spread(_clouds, work):
+        memory.update(made)
+
+
+def _clouds(work: tuple[int, Mapping[str, bytes]]) -> dict[str, bytes]:
+    """Packed clouds of meshes that can be read, as they are remembered."""
+    made = {}
+    for name, mesh in work[1].items():
+        with contextlib.suppress(InputError, ValueError):  # who asks for it is told
+            made[_key(name, work[0])] = _surface_cloud(name, mesh, work[0])
+    return made
+
+
+def _key(mesh_blob: str, count: int) -> str:
+    return f"surface {mesh_blob} {count}"
+
+
+def _surface_cloud(mesh_blob: str, mesh: bytes, count: int) -> bytes:
+    """The packed cloud of a mesh."""
+    rng = np.random.default_rng(list(hashlib.sha256(_key(mesh_blob, count).encode()).digest()))
+    points, colors, normals = sample_surface(surface_of_glb(mesh, mesh_blob), 2 * count, rng)
+    return packed(spread_cloud(points, colors, count, normals))
 
 
 def scanned(

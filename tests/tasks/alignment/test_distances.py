@@ -8,11 +8,13 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tasks.alignment import Distances
+from tasks.alignment import AlignmentConfig, Distances, Fit, Sample, make_target, measure
 from tasks.alignment.distances import coarse_distances, disc_distances, nearest_indices, nearest_turn
+from tasks.alignment.samples import turned
+from tasks.captions.colors import lab
 from tasks.geometry.meshes import sample_surface, surface_of
 from tasks.selection import ScoreConfig, score_of
-from tasks.selection.coloring import color_histogram, color_similarity
+from tasks.selection.coloring import HUE_BINS, HUE_REACH, LIGHTNESS_BINS, color_histogram, color_similarity
 
 
 @given(seed=st.integers(0, 2**32 - 1), k=st.integers(1, 60), m=st.integers(1, 300), decimals=st.integers(0, 9), flat=st.booleans())
@@ -32,14 +34,55 @@ def test_samples_that_are_not_looked_at_are_not_the_nearest(seed: int, k: int, m
     off = (away * normals).sum(axis=2)
     over = np.maximum(np.sqrt(np.maximum(square - off * off, 0.0)) - radius, 0.0)
     assert np.allclose(disc_distances(points, samples, normals, radius), np.sqrt(off * off + over * over).min(axis=1), atol=1e-9)
-    keep = int(rng.integers(1, k + 1))
-    used = np.argsort(distance, kind="stable")[:keep]
-    to, source = points[used, :2], samples[index[used], :2]
-    a, b = source - source.mean(axis=0), to - to.mean(axis=0)
-    across, along, middle, goal = nearest_turn(points, samples, keep)
-    assert (across, along) == pytest.approx(((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()), abs=1e-9)
-    assert np.allclose(middle, source.mean(axis=0), atol=1e-12)
-    assert np.allclose(goal, to.mean(axis=0), atol=1e-12)
+
+
+@given(seed=st.integers(0, 2**32 - 1), k=st.integers(1, 60), m=st.integers(1, 300), decimals=st.integers(1, 9), reach=st.floats(0.0, 0.3))
+@settings(max_examples=60, deadline=None)
+def test_the_turn_is_that_of_the_nearest_pairs_whatever_order_was_known(seed: int, k: int, m: int, decimals: int, reach: float) -> None:
+    """Surfaces that move by much, by little and not at all, with ties and many samples at one place."""
+    rng = np.random.default_rng(seed)
+    points, placed = np.round(rng.normal(size=(k, 3)), decimals), np.round(rng.normal(size=(m, 3)), decimals)
+    keep, ranks = int(rng.integers(1, k + 1)), np.arange(k)
+    for _ in range(4):
+        index, distance = nearest_indices(points, placed)
+        used = np.argsort(distance, kind="stable")
+        to, source = points[used[:keep], :2], placed[index[used[:keep]], :2]
+        a, b = source - source.mean(axis=0), to - to.mean(axis=0)
+        across, along, middle, goal = nearest_turn(points, placed, keep, ranks)
+        assert (across, along) == pytest.approx(((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()), abs=1e-9)
+        assert np.allclose(middle, source.mean(axis=0), atol=1e-12)
+        assert np.allclose(goal, to.mean(axis=0), atol=1e-12)
+        assert np.array_equal(ranks, used)
+        angle, shift = reach * rng.normal() * rng.integers(0, 2), reach * rng.normal(size=3) * rng.integers(0, 2)
+        placed = placed @ turned(angle).T + shift * [1.0, 1.0, 0.0]
+
+
+@given(seed=st.integers(0, 2**32 - 1), k=st.integers(2, 60), m=st.integers(1, 300), share=st.floats(0.1, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_measures_are_those_of_numpy(seed: int, k: int, m: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    config = AlignmentConfig(seen_share=share)
+    target = make_target(rng.normal(size=(k, 3)), np.zeros((k, 3), dtype=np.uint8), np.array([2.0, 2.0, 2.0]), config, rng)
+    normals = rng.normal(size=(m, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    asset = Sample(rng.normal(size=(m, 3)), normals, np.zeros((m, 3), dtype=np.uint8), np.ones(3), 6.0)
+    fit = Fit(float(rng.uniform(-4, 4)), rng.normal(size=3), rng.uniform(0.5, 2.0, 3))
+    threshold, limit = 0.3, config.truncation * target.diagonal
+    placed, tilted, radius = asset.placed(fit)
+    assert np.allclose(np.linalg.norm(tilted, axis=1), 1.0)
+    for one, of_all in zip(asset.placed(fit), asset.placed_all([fit, fit]), strict=True):
+        assert np.array_equal(one, of_all[1])
+    scan = disc_distances(target.points, placed, tilted, radius)
+    back = np.maximum(nearest_indices(placed, target.points)[1] - target.spacing, 0.0)
+    weights = target.weights(placed, tilted, config)
+    order = np.argsort(np.minimum(back, limit), kind="stable")
+    reached = np.cumsum(weights[order])
+    seen = order[: int((reached < share * reached[-1]).sum()) + 1]
+    made = measure(target, asset, fit, threshold, config)
+    assert made.scan == pytest.approx(np.minimum(scan, limit).mean(), rel=1e-12)
+    assert made.asset == pytest.approx((np.minimum(back, limit) * weights)[seen].sum() / weights[seen].sum(), rel=1e-12)
+    assert made.chamfer == pytest.approx(0.5 * (scan.mean() + back.mean()), rel=1e-12)
+    assert made.coverage == (scan <= threshold).mean()
 
 
 def test_compiled_distances_equal_an_independent_implementation() -> None:
@@ -70,6 +113,20 @@ def test_disc_distance_is_the_distance_to_the_surface() -> None:
     assert np.abs(found - exact).mean() < 0.015
     assert (found <= nearest + 1e-12).all()
     assert np.abs(found - exact).mean() < 0.5 * np.abs(nearest - exact).mean()
+
+
+@given(st.lists(st.tuples(*[st.integers(0, 255)] * 3), min_size=1, max_size=30))
+@settings(max_examples=40, deadline=None)
+def test_colors_are_shared_between_neighboring_bins(colors: list[tuple[int, int, int]]) -> None:
+    """By distance along each axis: the mean over the histogram is that of the colors, as far as bins reach."""
+    rgb = np.array(colors, dtype=np.uint8)
+    shares = color_histogram(rgb).reshape(LIGHTNESS_BINS, HUE_BINS, HUE_BINS)
+    values = lab(rgb)
+    light = np.clip(values[:, 0] / 100.0, 0, 1).mean() * (LIGHTNESS_BINS - 1)
+    hues = (np.clip((values[:, 1:] + HUE_REACH) / (2 * HUE_REACH), 0, 1) * (HUE_BINS - 1)).mean(axis=0)
+    means = [float((shares.sum(axis=tuple({0, 1, 2} - {axis})) * np.arange(shares.shape[axis])).sum()) for axis in range(3)]
+    assert means == pytest.approx([light, *hues], abs=1e-9)
+    assert (shares > 0).sum() <= 8 * len({tuple(color) for color in colors})
 
 
 @given(

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tasks.candidates.closing import solid_field
-from tasks.candidates.cutting import hull_area
+from tasks.candidates.cutting import best_cut, hull_area
 from tasks.candidates.scan_crop import closed_crop, pieces_of_crop
 from tasks.furniture import generate
 from tasks.geometry.meshes import sample_surface
@@ -66,3 +66,13 @@ def test_hulls_of_cells_have_the_area_that_shapely_says(seed: int, rows: int, co
         for index in range(1, count + 1):
             expected += shapely.union_all([shapely.box(i, j, i + 1, j + 1) for i, j in np.argwhere(bodies == index)]).convex_hull.area
     assert hull_area(plan, axis, position) == pytest.approx(expected)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.lists(st.integers(0, 7), min_size=1), st.lists(st.integers(0, 7), min_size=1))
+def test_the_best_cut_is_the_first_that_leaves_least(seed: int, rows: list[int], columns: list[int]) -> None:
+    plan = np.random.default_rng(seed).random((7, 7)) < 0.6
+    areas = {(axis, at): hull_area(plan, axis, at) for axis, places in ((0, rows), (1, columns)) for at in places}
+    area, axis, at = best_cut(plan, rows, columns)
+    assert area == min(areas.values())
+    assert (axis, at) == next(cut for cut, left in areas.items() if left == area)

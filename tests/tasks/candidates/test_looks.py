@@ -5,12 +5,19 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.captions import Caption
 from schemas.capture import Instance
+from tasks import candidates
+from tasks.candidates.assets import MadeAsset
 from tasks.candidates.looks import exemplars
+from tasks.candidates.procedural import Procedural, procedural_asset
+from tasks.candidates.provider import CandidateProvider, ProviderConfig
+from tasks.candidates.providers import provider_of
+from tasks.candidates.request import CandidateRequest
 from tasks.furniture import generate
 from tasks.geometry.transforms import flat, yaw_pose
 from tests.samples import sample
@@ -76,3 +83,25 @@ def test_what_is_made_for_one_chair_is_offered_to_all_that_look_like_it() -> Non
     assert [(row.slot, row.provider, row.is_fallback) for row in lent] == [(10, "parametric", True)]
     assert (lent[0].reason or "").startswith("fitted to 0001, which looks like it; ")
     assert slots["0002", 4].asset_id != template.asset_id, "its own fit stays"
+
+
+def test_what_several_share_is_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[tuple[str, ProviderConfig]] = []
+
+    def counted(config: ProviderConfig) -> CandidateProvider:
+        family = provider_of(config)
+        if config.kind != Procedural.kind:
+            return family
+
+        def offer(request: CandidateRequest, provider: Procedural) -> MadeAsset:
+            drawn.append((request.instance.instance_id, provider))
+            return procedural_asset(request, provider)
+
+        return dataclasses.replace(family, offer=offer)
+
+    monkeypatch.setattr(candidates, "provider_of", counted)
+    parts = generate("chair", CHAIR, np.random.default_rng(5)).parts
+    rows = candidates_of(*(scanned(number, "chair", parts, 0.4 * number) for number in (1, 2))).rows["candidates"]
+    assert len(drawn) == len(set(drawn))
+    assert {name for name, _ in drawn} == {"0001"}
+    assert sum(row.provider == "procedural" for row in rows) > len(drawn)

@@ -104,7 +104,8 @@ def test_products_and_distinct_rows_are_numpys(seed: int, count: int, decimals: 
     rng = np.random.default_rng(seed)
     first, other = rng.normal(size=(2, count, 3))
     assert np.array_equal(crosses(first, other), np.cross(first, other))
-    for rows in (np.round(first, decimals), np.round(other).astype(np.int64)):
+    whole = np.round(other).astype(np.int64)
+    for rows in (np.round(first, decimals), whole, whole * 2**40, (whole + 9).astype(np.uint8), whole[:0]):
         kept, place = distinct_rows(rows)
         _, expected, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
         assert np.array_equal(kept, expected)

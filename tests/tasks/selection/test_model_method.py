@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import pickle
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +23,7 @@ from tasks.selection.methods.geometric import Geometric
 from tasks.selection.methods.model import ModelScores, contenders_of, scanned_of, score
 from tasks.selection.model.collection import collected
 from tasks.selection.model.inference import load
+from tasks.selection.model.sight import remember_clouds, surface_cloud
 from tasks.settings import plain
 from tasks.stage import Context, WantedModel
 from tasks.training.dataset import RowsInMemory
@@ -165,6 +169,28 @@ def test_the_stage_says_which_model_it_wants() -> None:
     assert STAGE.model_wanted(SelectionConfig()) == WantedModel("selection", "small")
     assert STAGE.model_wanted(by_model()) == WantedModel("selection", "")
     assert STAGE.model_wanted(SelectionConfig(provider=ModelScores(model_id="ab12"))) == WantedModel("selection", "ab12")
+
+
+def test_clouds_that_are_made_at_once_are_those_that_are_made_when_asked_for(room: Room) -> None:
+    blobs = dict(room.blobs) | {"broken.glb": b"glTF"}
+    names = [asset.mesh_blob for asset in room.assets.values()]
+    parted: list[int] = []
+
+    def spread(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        parted.append(len(items))
+        return [function(pickle.loads(pickle.dumps(item))) for item in items]
+
+    memory: dict[str, bytes] = {}
+    remember_clouds([*names, "broken.glb", "gone.glb"], Context(SCENE, "selection", 0, blobs, spread=spread), CONFIG, memory)
+    assert memory == {key: value for name in names for key, value in _clouds_of(name, blobs).items()}
+    remember_clouds(names, Context(SCENE, "selection", 0, blobs, spread=spread), CONFIG, memory)
+    assert parted[1] == 0, "what is known is not made again"
+
+
+def _clouds_of(name: str, blobs: Mapping[str, bytes]) -> dict[str, bytes]:
+    alone: dict[str, bytes] = {}
+    surface_cloud(name, blobs, CONFIG, alone)
+    return alone
 
 
 def _gathered(room: Room):
