@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -83,14 +84,15 @@ def _die_at(step: int) -> Callable[[], int]:
 
     from warehouse.storage.files import LocalStorage
 
-    count = 0
+    count, turn = 0, threading.Lock()
 
     def stepped(real: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any, **named: Any) -> Any:
             nonlocal count
-            count += 1
-            if count == step:
-                os._exit(9)
+            with turn:  # tables are written by several threads
+                count += 1
+                if count == step:
+                    os._exit(9)
             return real(*arguments, **named)
 
         return call

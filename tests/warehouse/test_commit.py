@@ -1,0 +1,86 @@
+"""Commits: what they may not depend on, and what damage does not stop them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from schemas.captions import Caption
+from tests.samples import fingerprint, stage_run
+from tests.warehouse.lake_load import scene_id, stage_scene
+from warehouse.lake import Lake
+from warehouse.tables import commit, staging
+from warehouse.tables.datafiles import log_version
+from warehouse.tables.delta import FOLDER
+from warehouse.tables.digest import digests
+
+
+class _Backwards:
+    """Threads that happen to take the last task first, and each only when the one before is done."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        pass
+
+    def __enter__(self) -> _Backwards:
+        return self
+
+    def __exit__(self, *problem: object) -> None:
+        pass
+
+    def map(self, work: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        return [work(item) for item in reversed(items)][::-1]
+
+
+def committed(folder: Path) -> list[dict[str, str]]:
+    """Digests of the snapshots of a lake with new scenes, replaced ones, assets that others keep or nobody, and a withdrawal."""
+    lake = Lake.open(folder)
+    for number in range(4):
+        stage_scene(lake, number, "old", at=number)
+    lake.commit()
+    for number in (0, 1, 4):
+        stage_scene(lake, number, "new", at=10 + number)
+    lake.stage_rows(stage_run(scene_id(2), "capture", fingerprint("changed"), at=20))
+    lake.commit()
+    return [digests(lake.snapshot(number)) for number in (1, 2)]
+
+
+def test_tables_may_be_written_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = committed(tmp_path / "threads")
+    monkeypatch.setattr(commit, "ThreadPoolExecutor", _Backwards)
+    assert committed(tmp_path / "backwards") == expected
+
+
+def test_rows_that_are_not_held_are_read_in_their_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = committed(tmp_path / "held")
+    monkeypatch.setattr(staging, "HELD_BYTES", 0)
+    assert committed(tmp_path / "read again") == expected
+
+
+def test_damage_behind_a_sound_footer_loses_its_own_run_alone(tmp_path: Path) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    for number in range(2):
+        stage_scene(lake, number, "old", at=number)
+    (file,) = Path(lake.address).glob(f"staged/{staging.quoted_scene(scene_id(0))}@captions@*@captions.parquet")
+    content = bytearray(file.read_bytes())
+    content[4:200] = bytes(196)
+    file.write_bytes(content)
+    lake.commit()
+    last = lake.history()[scene_id(0), "captions"].last
+    assert (last.outcome, last.error_kind) == ("lost", "lost")
+    assert "cannot be read" in str(last.error)
+    assert {row.scene_id for row in lake.snapshot().rows(Caption)} == {scene_id(1)}
+
+
+def test_whoever_opens_a_table_reads_few_entries_of_its_log(tmp_path: Path) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    for number in range(23):
+        lake.stage_rows(stage_run(scene_id(number), "captions", fingerprint(number)))
+        lake.commit()
+    for name in ("stage_runs", "snapshots"):
+        files = lake.storage.names(f"{FOLDER}/{name}/_delta_log")
+        versions = {ending: [log_version(file) or 0 for file in files if file.endswith(ending)] for ending in (".json", ".parquet")}
+        assert max(versions[".json"]) >= 22
+        assert max(versions[".json"]) - max(versions[".parquet"]) < 10
