@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import itertools
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +15,7 @@ from schemas.captions import Caption
 from tests.samples import fingerprint, stage_run
 from tests.warehouse.lake_load import scene_id, stage_scene
 from warehouse.lake import Lake
+from warehouse.storage.files import LocalStorage
 from warehouse.tables import commit, staging
 from warehouse.tables.datafiles import log_version
 from warehouse.tables.delta import FOLDER
@@ -84,3 +88,36 @@ def test_whoever_opens_a_table_reads_few_entries_of_its_log(tmp_path: Path) -> N
         versions = {ending: [log_version(file) or 0 for file in files if file.endswith(ending)] for ending in (".json", ".parquet")}
         assert max(versions[".json"]) >= 22
         assert max(versions[".json"]) - max(versions[".parquet"]) < 10
+
+
+def test_files_that_are_written_together_are_there_in_order_and_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    storage = LocalStorage(tmp_path / "lake")
+    files = {f"staged/{number}": bytes([number]) * number for number in range(9)}
+    seen: list[list[str]] = []
+    real = os.replace
+
+    def replace(source: Path, target: Path) -> None:
+        seen.append(storage.names("staged"))
+        real(source, target)
+
+    monkeypatch.setattr(os, "replace", replace)
+    storage.write_together(files)
+    assert seen[-1] == [str(number) for number in range(8)], "the last one comes when all others are there"
+    assert {path: storage.read(path) for path in files} == files
+    assert storage.names("tmp") == []
+    monkeypatch.setattr(os, "fsync", fails_at(os.fsync, 3))
+    with pytest.raises(OSError, match="No space left"):
+        storage.write_together({f"later/{number}": b"0" for number in range(5)})
+    assert storage.names("later") == storage.names("tmp") == []
+
+
+def fails_at(real: Callable[[int], None], number: int) -> Callable[[int], None]:
+    """A function that finds the disk full when it is called for the n-th time."""
+    calls = itertools.count(1)
+
+    def call(descriptor: int) -> None:
+        if next(calls) == number:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        real(descriptor)
+
+    return call

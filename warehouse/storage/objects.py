@@ -9,7 +9,7 @@ import os
 import re
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
@@ -68,6 +68,13 @@ class ObjectStorage:
     def write(self, path: str, data: bytes, lasting: bool = True) -> None:
         """See Storage. A put is whole or not at all."""
         self._ask(path, lambda store: store.put(path, data, use_multipart=False))
+
+    def write_together(self, files: Mapping[str, bytes]) -> None:
+        """See Storage."""
+        *others, last = files
+        for _ in self.each(lambda path: self.write(path, files[path]), others):
+            pass
+        self.write(last, files[last])
 
     def move_in(self, file: Path, path: str) -> None:
         """See Storage. An upload in parts, which are one object when the last is there and none before."""
