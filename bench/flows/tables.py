@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from bench.flows.report import added_share, real_share
+from bench.flows.requests import KINDS
 from bench.flows.runs import PLAIN
 from bench.tables import add_row, as_text, goals_table, headline, table_of
 
@@ -45,9 +46,26 @@ def print_scale(report: Mapping[str, Any], console: Console) -> None:
             power = f"{powers[name]:.2f}" if name in powers else ""
             add_row(table, name, *(f"{p['cpu_seconds']:.2f}" for p in parts), *(f"{p['memory_mb']:.0f}" for p in parts), power)
         console.print(table)
+        _print_bytes(sizes, console)
+    for size in report["requests"]:
+        columns = [(kind, True) for kind in KINDS]
+        table = table_of(f"requests to a store of objects, {size['size']:,} near-empty scenes", ("stage", False), *columns)
+        for name, part in size["stages"].items():
+            add_row(table, name, *(f"{part['requests'][kind]:,}" for kind in KINDS))
+        console.print(table)
     for size in report["steep"]:
         console.print(f"grows faster than linearly: {size}", markup=False)
     console.print(goals_table(report["goals"]))
+
+
+def _print_bytes(sizes: Sequence[Mapping[str, Any]], console: Console) -> None:
+    table = table_of(
+        "bytes in the lake: rows and blobs of a stage; files", ("stage", False), *((f"{size['size']:,}", True) for size in sizes)
+    )
+    for name in sizes[-1]["holds"]["bytes"]:
+        add_row(table, name, *(f"{size['holds']['bytes'].get(name, 0):,}" for size in sizes))
+    add_row(table, "files", *(f"{size['holds']['files']:,}" for size in sizes))
+    console.print(table)
 
 
 def _print_overhead(report: Mapping[str, Any], console: Console) -> None:

@@ -289,10 +289,11 @@ def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_
 @command.command("scale")
 @click.option("--objects", default="100,300,1000", show_default=True, help="Numbers of objects in one scene, with commas between.")
 @click.option("--scenes", default="30,100,300", show_default=True, help="Numbers of near-empty scenes, with commas between.")
+@click.option("--requests", metavar="NUMBERS", help="Numbers of near-empty scenes whose requests to a store of objects are counted.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same scenes.")
 @json_option
-def scale(objects: str, scenes: str, seed: int, as_json: bool) -> None:
-    """Measure what grows with the objects of a scene and with the number of scenes: seconds and memory of every stage.
+def scale(objects: str, scenes: str, requests: str | None, seed: int, as_json: bool) -> None:
+    """Measure what grows with the objects of a scene and with the number of scenes: seconds and memory of every stage, and bytes.
 
     With three sizes or more, the power of the size is told that a stage's processor seconds grow with. Every stage does its own work,
     on little, as in `metascenes bench flows`; a thousand objects take about ten minutes of a processor.
@@ -304,8 +305,10 @@ def scale(objects: str, scenes: str, seed: int, as_json: bool) -> None:
     from bench.flows.scale import ScaleBench, run_scale_bench
     from bench.flows.tables import print_scale
 
-    config = ScaleBench(listed_numbers(objects, "--objects"), listed_numbers(scenes, "--scenes"), seed)
-    run_measurement("measured", len(config.objects) + len(config.scenes), partial(run_scale_bench, config), print_scale, as_json)
+    counted = listed_numbers(requests, "--requests") if requests else ()
+    config = ScaleBench(listed_numbers(objects, "--objects"), listed_numbers(scenes, "--scenes"), counted, seed)
+    steps = len(config.objects) + len(config.scenes) + len(config.requests)
+    run_measurement("measured", steps, partial(run_scale_bench, config), print_scale, as_json)
 
 
 @command.command("view")
