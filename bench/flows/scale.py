@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.flows.projection import Prices, projection
 from bench.flows.requests import Requests, counting_store
 from bench.flows.runs import surroundings
 from bench.flows.small_scenes import SETTINGS, write_crowded_scan, write_small_scans
@@ -41,12 +42,14 @@ _LEAST_SECONDS = 0.5
 @dataclasses.dataclass(frozen=True)
 class ScaleBench:
     """What is measured. objects: of one scene. scenes: near-empty ones, of one object each. requests: numbers of such scenes whose lake
-    is in a store of objects, which counts what it is asked."""
+    is in a store of objects, which counts what it is asked. projected: number of scenes that the report goes on to, at `prices`."""
 
     objects: tuple[int, ...] = (100, 300, 1000)
     scenes: tuple[int, ...] = (30, 100, 300)
     requests: tuple[int, ...] = ()
     seed: int = 0
+    projected: int | None = None
+    prices: Prices = dataclasses.field(default_factory=Prices)
 
 
 def run_scale_bench(config: ScaleBench, advance: Callable[[str], None] = lambda what: None, folder: Path | None = None) -> dict[str, Any]:
@@ -67,6 +70,8 @@ def run_scale_bench(config: ScaleBench, advance: Callable[[str], None] = lambda 
         for size in config.requests:
             report["requests"].append({"size": size} | _measured(Path(work), "requests", size, config.seed))
             advance(f"requests of {size:,} scenes")
+    if config.projected is not None:
+        report["projection"] = {"scenes": config.projected} | projection(report, config.projected, config.prices)
     steep = [f"{what}: {name}" for what in ("objects", "scenes") for name, power in report[what]["exponents"].items() if power > STEEP]
     report["steep"] = steep
     tried = min(len(config.objects), len(config.scenes)) > 2  # two sizes make any line

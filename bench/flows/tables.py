@@ -53,9 +53,22 @@ def print_scale(report: Mapping[str, Any], console: Console) -> None:
         for name, part in size["stages"].items():
             add_row(table, name, *(f"{part['requests'][kind]:,}" for kind in KINDS))
         console.print(table)
+    if "projection" in report:
+        _print_projection(report["projection"], console)
     for size in report["steep"]:
         console.print(f"grows faster than linearly: {size}", markup=False)
     console.print(goals_table(report["goals"]))
+
+
+def _print_projection(seen: Mapping[str, float], console: Console) -> None:
+    table = table_of(f"{seen['scenes']:,} such scenes", ("what", False), ("amount", True))
+    add_row(table, "days of one core", f"{seen['core_hours'] / 24:,.1f}")
+    add_row(table, "GB in the lake", f"{seen['bytes'] / 1e9:,.1f}")
+    for kind in KINDS:
+        add_row(table, f"million requests: {kind}", f"{seen[kind] / 1e6:,.1f}")
+    for name, what in (("core_usd", "processors"), ("requests_usd", "requests"), ("month_usd", "bytes, a month")):
+        add_row(table, f"USD: {what}", f"{seen[name]:,.0f}")
+    console.print(table)
 
 
 def _print_bytes(sizes: Sequence[Mapping[str, Any]], console: Console) -> None:
@@ -104,11 +117,14 @@ def _print_memory(report: Mapping[str, Any], console: Console) -> None:
 def _print_speed(report: Mapping[str, Any], console: Console) -> None:
     for what, runs in (("small scenes", report["speed"]), ("rooms of about 25 objects", report["room_speed"])):
         table = table_of(f"one worker and two, {what}", ("scenes", True), ("workers", True), ("work s", True), ("whole run s", True),
+                         ("between stages", True), ("at its ends", True), ("main cpu s", True), ("others cpu s", True),
                          ("load", True))  # fmt: skip
         for run in runs:
+            of_workers = run["work_seconds"] * run["workers"]
             add_row(
                 table, f"{run['scenes']:,}", str(run["workers"]), f"{run['work_seconds']:.1f}", f"{run['seconds']:.1f}",
-                f"{run['load']:.1f}",
+                as_text(run["between_seconds"] / of_workers, "percent"), as_text(run["edge_seconds"] / of_workers, "percent"),
+                f"{run['cpu_seconds']:.1f}", f"{run['others_cpu_seconds']:.1f}", f"{run['load']:.1f}",
             )  # fmt: skip
         console.print(table)
 

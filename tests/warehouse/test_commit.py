@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
+from schemas.candidates import Candidate
 from schemas.captions import Caption
-from tests.samples import fingerprint, stage_run
+from tests.samples import fingerprint, sample, stage_run
 from tests.warehouse.lake_load import scene_id, stage_scene
 from warehouse.lake import Lake
 from warehouse.storage.files import LocalStorage
@@ -121,3 +122,19 @@ def fails_at(real: Callable[[int], None], number: int) -> Callable[[int], None]:
         real(descriptor)
 
     return call
+
+
+def test_rows_that_were_found_are_looked_for_again_once_they_are_gone(tmp_path: Path) -> None:
+    lake, scene, printed = Lake.open(tmp_path / "lake"), scene_id(0), fingerprint("candidates")
+
+    def found() -> list[int | None]:
+        seen = [lake.staged_rows(table, scene, printed) for table in ("candidates", "assets", "texture_charts")]
+        return [None if rows is None else len(rows) for rows in seen]
+
+    assert found() == [None, None, None]
+    for at in (0, 10):
+        slots = [sample(Candidate, scene_id=scene, slot=slot, asset_id=None) for slot in (1, 2)]
+        lake.stage_rows(stage_run(scene, "candidates", printed, at=at), {"candidates": slots})
+        assert found() == found() == [2, 0, 0], "staged, with tables that have no rows"
+        lake.commit()
+        assert found() == [None, None, None]

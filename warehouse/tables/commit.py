@@ -142,9 +142,11 @@ class Commit:
         opened = self._tables.open("snapshots")
         # Kept as opened: the snapshot's row is only written if nobody wrote one since.
         self._opened_snapshots = opened
-        rows = arrow_to_rows(self._tables.read(self._snapshots, self._tables.files("snapshots", opened)), Snapshot) if opened else []
-        self._snapshot_rows: list[Snapshot] = rows
-        last = max(rows, key=lambda row: row.snapshot_id, default=None)
+        # Kept as rows of Arrow: a lake of many commits has many, and only the last one is asked for anything.
+        self._snapshot_rows = self._tables.read(self._snapshots, self._tables.files("snapshots", opened) if opened else [])
+        ids = self._snapshot_rows.column("snapshot_id")
+        newest = self._snapshot_rows.filter(pc.equal(ids, pc.max(ids)))
+        last = next(iter(arrow_to_rows(newest, Snapshot)), None)
         return Base(last.snapshot_id if last else 0, versions_of(last) if last else {})
 
     def _read_states(self, scenes: Collection[str]) -> None:
@@ -356,7 +358,8 @@ class Commit:
         # The table is small and read by everybody first, so it is kept in one file.
         writer = self._tables.writer_from(self._snapshots, self._opened_snapshots, self._lease.check)
         tokens = " ".join(sorted(staged_run.token for staged_run in adopted))
-        writer.rewrite(rows_to_arrow([*self._snapshot_rows, snapshot], Snapshot), {_ADOPTED: tokens})
+        new = rows_to_arrow([snapshot], Snapshot).cast(self._snapshot_rows.schema)
+        writer.rewrite(pa.concat_tables([self._snapshot_rows, new]), {_ADOPTED: tokens})
 
     def _staged_rows(self, table: Table, new: Sequence[StagedRun]) -> pa.Table:
         """Rows that the adopted runs left in a table, sorted by key, under the table's schema."""

@@ -60,6 +60,9 @@ class Staging:
     def __init__(self, storage: Storage) -> None:
         self._storage = storage
         self._known: dict[str, StageRun] = {}  # by path of the run's file: files never change once they are there
+        # What was staged under a fingerprint, by how its names begin: whoever asks for one table asks for others, and a folder on a disk
+        # is listed as a whole. Looked for again once it is gone.
+        self._found: dict[str, dict[str, dict[str, str]]] = {}
 
     def stage(self, run: StageRun, rows: Mapping[str, Sequence[Any]]) -> None:
         """Leave a run and its rows for the committer.
@@ -109,21 +112,32 @@ class Staging:
 
     def rows(self, table: str, scene_id: str, fingerprint: str) -> list[Any] | None:
         """Rows that the newest complete staged run of a fingerprint left in a table; None when there is no such run."""
-        record = TABLES[table].record
         head = f"{quoted_scene(scene_id)}@{TABLES[table].stage}@{fingerprint}@"
+        if head in self._found:
+            rows = self._newest_rows(self._found[head], table)
+            if rows is not None:
+                return rows
+            del self._found[head]
         stems = {stem: files for stem, files in self._by_stem(head).items() if _RUNS in files}
+        rows = self._newest_rows(stems, table)
+        if rows is not None:
+            self._found[head] = stems
+        return rows
+
+    def _newest_rows(self, stems: Mapping[str, Mapping[str, str]], table: str) -> list[Any] | None:
+        """Rows of a table that the newest of some staged runs left; None where none is done, or it was committed meanwhile."""
         read = self._run_rows([files[_RUNS] for files in stems.values()])
-        self._known.update(read)  # a stage asks for several tables of one run
+        self._known.update(read)
         runs = [(read[files[_RUNS]], stem) for stem, files in stems.items() if files[_RUNS] in read]
         done = sorted(((run.started_at, run.attempt, stem) for run, stem in runs if run.outcome == "done"), reverse=True)
         if not done:
             return None
-        path = stems[done[0][2]].get(table)
-        if path is None:
-            return []
+        files = stems[done[0][2]]
+        if table not in files:
+            return [] if self._storage.exists(files[_RUNS]) else None
         try:
-            return arrow_to_rows(self.read(path), record)
-        except FileNotFoundError:  # committed meanwhile
+            return arrow_to_rows(self.read(files[table]), TABLES[table].record)
+        except FileNotFoundError:
             return None
 
     def blob_names(self) -> set[str]:
