@@ -91,6 +91,11 @@ class Table:
     description: str
     shared_by: str
     columns: tuple[Column, ...]
+    arrow_schema: pa.Schema = dataclasses.field(init=False, repr=False, compare=False)
+    """The Arrow schema; descriptions and units are field metadata."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "arrow_schema", _arrow_schema(self))
 
     @property
     def owner(self) -> str:
@@ -112,21 +117,12 @@ class Table:
         """What rows have in columns that they are older than, by column; in others they miss it."""
         return {c.name: c.earlier for c in self.columns if c.earlier is not None}
 
-    @property
-    def arrow_schema(self) -> pa.Schema:
-        """The Arrow schema; descriptions and units are field metadata."""
-        return pa.schema(
-            [
-                pa.field(
-                    c.name,
-                    c.type,
-                    nullable=c.nullable,
-                    metadata={"description": c.description, "unit": c.unit},
-                )
-                for c in self.columns
-            ],
-            metadata={"table": self.name, "description": self.description},
-        )
+
+def _arrow_schema(table: Table) -> pa.Schema:
+    fields = [
+        pa.field(c.name, c.type, nullable=c.nullable, metadata={"description": c.description, "unit": c.unit}) for c in table.columns
+    ]  # fmt: skip
+    return pa.schema(fields, metadata={"table": table.name, "description": table.description})
 
 
 _OWNERS: dict[Grain, str] = {

@@ -20,6 +20,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,12 @@ class MemorySample:
 
 @dataclasses.dataclass(frozen=True)
 class Figures:
-    """What a run took. load: The machine's load average of the last minute when it began. cpu_seconds: The coordinator's."""
+    """What a run took. load: The machine's load average of the last minute when it began. cpu_seconds: The coordinator's.
+
+    between_seconds, edge_seconds: What its workers spent between two stages, on staging rows and waiting for work, and before their
+    first and after their last; of a worker of Dask's and others by the process that it computes in. others_cpu_seconds: Processor
+    time of its workers and server.
+    """
 
     runner: str
     scenes: int
@@ -60,6 +66,9 @@ class Figures:
     cpu_seconds: float
     load: float
     samples: tuple[MemorySample, ...] = dataclasses.field(repr=False, default=())
+    between_seconds: float = 0.0
+    edge_seconds: float = 0.0
+    others_cpu_seconds: float = 0.0
 
     @property
     def overhead_seconds(self) -> float:
@@ -143,11 +152,26 @@ def figures_of(lake: Lake, runner: str, workers: int, begun: float, seconds: flo
     runs = reader.rows(StageRun)
     first = min(run.started_at for run in runs).timestamp()
     last = max(snapshot.created_at for snapshot in reader.snapshots).timestamp()
+    between, edge = gaps_of(runs)
     return Figures(
         runner=runner, scenes=len({run.scene_id for run in runs}), workers=workers, stage_runs=len(runs), seconds=seconds,
         startup_seconds=first - begun, work_seconds=last - first, ending_seconds=begun + seconds - last,
         stage_seconds=sum(run.seconds for run in runs), cpu_seconds=watched.cpu_seconds, load=load, samples=tuple(watched.samples),
+        between_seconds=between, edge_seconds=edge, others_cpu_seconds=sum(watched.others.values()),
     )  # fmt: skip
+
+
+def gaps_of(runs: Sequence[StageRun]) -> tuple[float, float]:
+    """Seconds of all workers of a run between two stages, and before their first and after their last stage, while others had one."""
+    spans: dict[str, list[tuple[float, float]]] = {}
+    for run in sorted(runs, key=lambda run: run.started_at):
+        begun = run.started_at.timestamp()
+        spans.setdefault(run.host, []).append((begun, begun + run.seconds))
+    first = min(taken[0][0] for taken in spans.values())
+    last = max(taken[-1][1] for taken in spans.values())
+    between = sum(later[0] - earlier[1] for taken in spans.values() for earlier, later in pairwise(taken))
+    edge = sum(taken[0][0] - first + last - taken[-1][1] for taken in spans.values())
+    return between, edge
 
 
 class Samples:
@@ -156,6 +180,8 @@ class Samples:
     def __init__(self) -> None:
         self.samples: list[MemorySample] = []
         self.cpu_seconds = 0.0
+        self.others: dict[int, float] = {}
+        """Processor seconds of its children by process."""
 
 
 @contextmanager
@@ -170,7 +196,9 @@ def sampled(pid: int) -> Iterator[Samples]:
             process = psutil.Process(pid)
             while not stopped.wait(SAMPLE_SECONDS):
                 own, cpu = process.memory_info().rss, process.cpu_times()
-                children = sum(_memory_of(child) for child in process.children(recursive=True))
+                others = process.children(recursive=True)
+                children = sum(_memory_of(child) for child in others)
+                watched.others |= {child.pid: seconds for child in others if (seconds := _cpu_of(child)) is not None}
                 watched.samples.append(MemorySample(time.perf_counter() - begun, own / 1e6, children / 1e6))
                 watched.cpu_seconds = cpu.user + cpu.system
         except psutil.Error:  # it is over
@@ -192,3 +220,13 @@ def _memory_of(process: Any) -> int:
         return int(process.memory_info().rss)
     except psutil.Error:
         return 0
+
+
+def _cpu_of(process: Any) -> float | None:
+    import psutil
+
+    try:
+        cpu = process.cpu_times()
+    except psutil.Error:
+        return None
+    return float(cpu.user + cpu.system)

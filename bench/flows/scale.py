@@ -7,6 +7,7 @@ a line fitted to the logarithms of three sizes or more.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
@@ -16,14 +17,20 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from bench.flows.projection import Prices, projection
+from bench.flows.requests import Requests, counting_store
 from bench.flows.runs import surroundings
 from bench.flows.small_scenes import SETTINGS, write_crowded_scan, write_small_scans
 from bench.goals import goal
 from bench.machine import machine
 from flows.run.child import ONE_THREAD
 from schemas.errors import LakeError
+from warehouse.storage.blobs import FOLDER as BLOBS
+
+if TYPE_CHECKING:
+    from warehouse.lake import Lake
 
 STEEP = 1.25
 """An exponent above this is told as growing faster than linearly: a logarithm and what is left of fixed costs stay below it."""
@@ -34,11 +41,15 @@ _LEAST_SECONDS = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class ScaleBench:
-    """What is measured. objects: of one scene. scenes: near-empty ones, of one object each."""
+    """What is measured. objects: of one scene. scenes: near-empty ones, of one object each. requests: numbers of such scenes whose lake
+    is in a store of objects, which counts what it is asked. projected: number of scenes that the report goes on to, at `prices`."""
 
     objects: tuple[int, ...] = (100, 300, 1000)
     scenes: tuple[int, ...] = (30, 100, 300)
+    requests: tuple[int, ...] = ()
     seed: int = 0
+    projected: int | None = None
+    prices: Prices = dataclasses.field(default_factory=Prices)
 
 
 def run_scale_bench(config: ScaleBench, advance: Callable[[str], None] = lambda what: None, folder: Path | None = None) -> dict[str, Any]:
@@ -52,9 +63,15 @@ def run_scale_bench(config: ScaleBench, advance: Callable[[str], None] = lambda 
         for what, sizes in (("objects", config.objects), ("scenes", config.scenes)):
             measured = []
             for size in sizes:
-                measured.append({"size": size, "stages": _measured(Path(work), what, size, config.seed)})
+                measured.append({"size": size} | _measured(Path(work), what, size, config.seed))
                 advance(f"{size:,} {what}")
             report[what] = {"sizes": measured, "exponents": exponents(measured)}
+        report["requests"] = []
+        for size in config.requests:
+            report["requests"].append({"size": size} | _measured(Path(work), "requests", size, config.seed))
+            advance(f"requests of {size:,} scenes")
+    if config.projected is not None:
+        report["projection"] = {"scenes": config.projected} | projection(report, config.projected, config.prices)
     steep = [f"{what}: {name}" for what in ("objects", "scenes") for name, power in report[what]["exponents"].items() if power > STEEP]
     report["steep"] = steep
     tried = min(len(config.objects), len(config.scenes)) > 2  # two sizes make any line
@@ -83,7 +100,8 @@ def _measured(folder: Path, what: str, size: int, seed: int) -> dict[str, Any]:
         write_small_scans(scans, size, seed)
     if not first.exists():
         write_crowded_scan(first, 5, seed)
-    command = [sys.executable, "-m", "bench.flows.scale", str(first), str(scans), str(folder / f"lake-{what}{size}")]
+    lake = "" if what == "requests" else str(folder / f"lake-{what}{size}")
+    command = [sys.executable, "-m", "bench.flows.scale", str(first), str(scans), lake]
     done = subprocess.run(command, env=surroundings(folder) | ONE_THREAD, capture_output=True, text=True, check=False)
     if done.returncode:
         raise LakeError(f"{size} {what}: {(done.stderr.strip().splitlines() or ['it said nothing'])[-1]}")
@@ -92,20 +110,25 @@ def _measured(folder: Path, what: str, size: int, seed: int) -> dict[str, Any]:
 
 
 class _Meter:
-    """Adds up what parts of the work take."""
+    """Adds up what parts of the work take, and the requests of each where a store counts them."""
 
-    def __init__(self) -> None:
-        self.parts: dict[str, dict[str, float]] = {}
+    def __init__(self, requests: Requests | None = None) -> None:
+        self.parts: dict[str, dict[str, Any]] = {}
+        self._requests = requests
 
     def of(self, name: str, work: Callable[[], Any]) -> Any:
         """Do it, and add it to a part: seconds, those of the processor, and the most memory [MB]."""
         _forget_peak()
+        if self._requests is not None:
+            self._requests.part = name
         wall, cpu = time.perf_counter(), time.process_time()
         result = work()
         part = self.parts.setdefault(name, {"seconds": 0.0, "cpu_seconds": 0.0, "memory_mb": 0.0})
         part["seconds"] += time.perf_counter() - wall
         part["cpu_seconds"] += time.process_time() - cpu
         part["memory_mb"] = max(part["memory_mb"], _peak_mb())
+        if self._requests is not None:
+            part["requests"] = self._requests.of(name)
         return result
 
 
@@ -127,8 +150,8 @@ def _peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def through(scans: Path, address: Path, meter: _Meter) -> None:
-    """All stages of all scans, one after another in this process, and the plan, the commit and a look at the lake.
+def through(scans: Path, address: str | Path, meter: _Meter) -> dict[str, Any]:
+    """All stages of all scans, one after another in this process, and the plan, the commit and a look at the lake; what the lake holds.
 
     Raises:
         LakeError: a stage failed.
@@ -150,16 +173,39 @@ def through(scans: Path, address: Path, meter: _Meter) -> None:
                 raise LakeError(f"{run.scene_id}: {run.stage}: {run.error}")
     meter.of("commit", lambda: lake.commit("scale"))
     meter.of("plan again", lambda: make_plan(lake, scan_list, unusable, configuration))
+    return held(lake)
 
 
-def main(first: Path, scans: Path, lake: Path) -> None:
-    """Measure one size, after a small room."""
+def held(lake: Lake) -> dict[str, Any]:
+    """What a lake holds: files, bytes of the rows and blobs of each stage, and bytes of everything else, such as logs.
+
+    A blob is of the first table that names it, in the order of the data path.
+    """
+    from schemas.tables import TABLES
+
+    sizes = {entry.path: entry.size for entry in lake.storage.walk("")}
+    reader, rest = lake.snapshot(), dict(sizes)
+    stages: dict[str, int] = {}
+    for table in TABLES.values():
+        paths = set(reader.files(table.name))
+        for column in table.blob_columns:
+            names = reader.arrow(table.name).column(column).unique().drop_null().to_pylist()
+            paths |= {f"{BLOBS}/{name[:2]}/{name[2:4]}/{name}" for name in names}
+        stage = table.stage or table.name
+        stages[stage] = stages.get(stage, 0) + sum(rest.pop(path, 0) for path in paths)
+    return {"files": len(sizes), "bytes": stages | {"other": sum(rest.values())}}
+
+
+def main(first: Path, scans: Path, lake: str) -> None:
+    """Measure one size, after a small room; in a store of objects that counts requests where no folder is named for the lake."""
     with tempfile.TemporaryDirectory() as warm:
         through(first, Path(warm) / "lake", _Meter())
-    meter = _Meter()
-    through(scans, lake, meter)
-    print(json.dumps(meter.parts))
+    requests = None if lake else Requests()
+    meter = _Meter(requests)
+    with contextlib.nullcontext(lake) if requests is None else counting_store(requests) as address:
+        holds = through(scans, address, meter)
+    print(json.dumps({"stages": meter.parts, "holds": holds}))
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:4]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3])

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from bench.flows.report import added_share, real_share
+from bench.flows.requests import KINDS
 from bench.flows.runs import PLAIN
 from bench.tables import add_row, as_text, goals_table, headline, table_of
 
@@ -45,9 +46,39 @@ def print_scale(report: Mapping[str, Any], console: Console) -> None:
             power = f"{powers[name]:.2f}" if name in powers else ""
             add_row(table, name, *(f"{p['cpu_seconds']:.2f}" for p in parts), *(f"{p['memory_mb']:.0f}" for p in parts), power)
         console.print(table)
+        _print_bytes(sizes, console)
+    for size in report["requests"]:
+        columns = [(kind, True) for kind in KINDS]
+        table = table_of(f"requests to a store of objects, {size['size']:,} near-empty scenes", ("stage", False), *columns)
+        for name, part in size["stages"].items():
+            add_row(table, name, *(f"{part['requests'][kind]:,}" for kind in KINDS))
+        console.print(table)
+    if "projection" in report:
+        _print_projection(report["projection"], console)
     for size in report["steep"]:
         console.print(f"grows faster than linearly: {size}", markup=False)
     console.print(goals_table(report["goals"]))
+
+
+def _print_projection(seen: Mapping[str, float], console: Console) -> None:
+    table = table_of(f"{seen['scenes']:,} such scenes", ("what", False), ("amount", True))
+    add_row(table, "days of one core", f"{seen['core_hours'] / 24:,.1f}")
+    add_row(table, "GB in the lake", f"{seen['bytes'] / 1e9:,.1f}")
+    for kind in KINDS:
+        add_row(table, f"million requests: {kind}", f"{seen[kind] / 1e6:,.1f}")
+    for name, what in (("core_usd", "processors"), ("requests_usd", "requests"), ("month_usd", "bytes, a month")):
+        add_row(table, f"USD: {what}", f"{seen[name]:,.0f}")
+    console.print(table)
+
+
+def _print_bytes(sizes: Sequence[Mapping[str, Any]], console: Console) -> None:
+    table = table_of(
+        "bytes in the lake: rows and blobs of a stage; files", ("stage", False), *((f"{size['size']:,}", True) for size in sizes)
+    )
+    for name in sizes[-1]["holds"]["bytes"]:
+        add_row(table, name, *(f"{size['holds']['bytes'].get(name, 0):,}" for size in sizes))
+    add_row(table, "files", *(f"{size['holds']['files']:,}" for size in sizes))
+    console.print(table)
 
 
 def _print_overhead(report: Mapping[str, Any], console: Console) -> None:
@@ -86,11 +117,14 @@ def _print_memory(report: Mapping[str, Any], console: Console) -> None:
 def _print_speed(report: Mapping[str, Any], console: Console) -> None:
     for what, runs in (("small scenes", report["speed"]), ("rooms of about 25 objects", report["room_speed"])):
         table = table_of(f"one worker and two, {what}", ("scenes", True), ("workers", True), ("work s", True), ("whole run s", True),
+                         ("between stages", True), ("at its ends", True), ("main cpu s", True), ("others cpu s", True),
                          ("load", True))  # fmt: skip
         for run in runs:
+            of_workers = run["work_seconds"] * run["workers"]
             add_row(
                 table, f"{run['scenes']:,}", str(run["workers"]), f"{run['work_seconds']:.1f}", f"{run['seconds']:.1f}",
-                f"{run['load']:.1f}",
+                as_text(run["between_seconds"] / of_workers, "percent"), as_text(run["edge_seconds"] / of_workers, "percent"),
+                f"{run['cpu_seconds']:.1f}", f"{run['others_cpu_seconds']:.1f}", f"{run['load']:.1f}",
             )  # fmt: skip
         console.print(table)
 

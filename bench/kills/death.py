@@ -14,6 +14,7 @@ import os
 import random
 import signal
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable
@@ -62,6 +63,7 @@ class Steps:
     def __init__(self, death: Death | None, jump: tuple[int, str] | None = None) -> None:
         self.count = 0
         self._death, self._jump = death, jump
+        self._turn = threading.Lock()  # a commit writes several tables at a time
 
     def install(self) -> Steps:
         """Put itself before every step of this process."""
@@ -75,13 +77,15 @@ class Steps:
         makes_room = real.__name__ in ("unlink", "rmdir")
 
         def call(*arguments: Any, **named: Any) -> Any:
-            self.count += 1
-            if self._jump is not None and self.count == self._jump[0]:
+            with self._turn:
+                self.count += 1
+                count = self.count
+            if self._jump is not None and count == self._jump[0]:
                 os.environ["FAKETIME"] = self._jump[1]
             death = self._death
-            if death is not None and death.way == "step" and self.count == death.at:
+            if death is not None and death.way == "step" and count == death.at:
                 os.kill(os.getpid(), signal.SIGKILL)
-            if death is not None and death.way == "full" and self.count >= death.at and not makes_room:
+            if death is not None and death.way == "full" and count >= death.at and not makes_room:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             return real(*arguments, **named)
 

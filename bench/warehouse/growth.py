@@ -41,7 +41,9 @@ class Growth:
     commit_new_seconds: `BATCH` scenes that the lake does not have, all tables of scenes and the snapshot; assets and splits,
     which scenes share, stay. commit_again_seconds: as many neighboring scenes with new rows in the place of theirs.
     neighbors_seconds, scattered_seconds: `REPLACED` scenes of `TABLE`, one after the other in the lake or evenly spread over
-    it; of a table that is open, without the snapshot. scene_seconds: all rows of one scene, all tables of scenes.
+    it; of a table that is open, without the snapshot. scene_seconds: all rows of one scene, all tables of scenes. outline_seconds: the
+    history of all scenes in outline, as `metascenes status` reads it. With `cpu`, seconds of this process's threads on processors,
+    which neighbors on the machine hardly change.
     """
 
     scenes: int
@@ -51,6 +53,9 @@ class Growth:
     neighbors_seconds: float
     scattered_seconds: float
     scene_seconds: float
+    commit_new_cpu_seconds: float
+    outline_seconds: float
+    outline_cpu_seconds: float
 
 
 def growth(scenes: int, seed: int = 0, advance: Callable[[str], None] | None = None) -> Growth:
@@ -63,7 +68,7 @@ def growth(scenes: int, seed: int = 0, advance: Callable[[str], None] | None = N
         rows = _count(lake, TABLE)
         new = [_commit_seconds(lake, names[i * BATCH % len(names) :][:BATCH], f"new{i}_") for i in range(_RUNS)]
         tell("commits of new scenes")
-        again = [_commit_seconds(lake, _spread(names, i)[:BATCH], "") for i in range(_RUNS)]
+        again = [_commit_seconds(lake, _spread(names, i)[:BATCH], "")[0] for i in range(_RUNS)]
         tell("commits of scenes anew")
         neighbors = [_replace_seconds(lake, _spread(names, i)[:REPLACED]) for i in range(_RUNS)]
         tell("neighbors replaced")
@@ -72,8 +77,12 @@ def growth(scenes: int, seed: int = 0, advance: Callable[[str], None] | None = N
         tell("scattered scenes replaced")
         samples = [_scene_seconds(lake, names[len(names) // (i + 2)]) for i in range(_RUNS)]
         tell("one scene read")
+        outlines = [_timed(lake.outline) for _ in range(_RUNS)]
     median = statistics.median
-    return Growth(scenes, rows, median(new), median(again), median(neighbors), median(scattered), median(samples))
+    new_seconds, new_cpu = map(median, zip(*new, strict=True))
+    of_outlines = map(median, zip(*outlines, strict=True))
+    replaced = map(median, (again, neighbors, scattered))
+    return Growth(scenes, rows, new_seconds, *replaced, median(samples), new_cpu, *of_outlines)
 
 
 def steps() -> int:
@@ -109,17 +118,22 @@ def _copied_run(run: StageRun, name: str, prints: dict[str, str], at: float) -> 
     )
 
 
-def _commit_seconds(lake: Lake, scenes: Sequence[str], prefix: str) -> float:
-    """Time of one commit of copies of scenes; staging them is not counted."""
+def _commit_seconds(lake: Lake, scenes: Sequence[str], prefix: str) -> tuple[float, float]:
+    """Time of one commit of copies of scenes, and that of processors; staging them is not counted."""
     names = {scene: scene.replace("/", f"/{prefix}", 1) for scene in scenes}
     for scene, name in names.items():
         stage_copy(lake, scene, name, at=86_400.0 * 400)
-    clock = time.perf_counter()
-    snapshot = lake.commit("growth", scenes=list(names.values()))
-    seconds = time.perf_counter() - clock
-    if snapshot is None:
+    taken = _timed(lambda: lake.commit("growth", scenes=list(names.values())))
+    if lake.has_staged(next(iter(names.values()))):
         raise AssertionError("the staged scenes were not committed")
-    return seconds
+    return taken
+
+
+def _timed(work: Callable[[], object]) -> tuple[float, float]:
+    """Seconds that some work takes, and those of processors."""
+    clock, cpu = time.perf_counter(), time.process_time()
+    work()
+    return time.perf_counter() - clock, time.process_time() - cpu
 
 
 def _replace_seconds(lake: Lake, scenes: Sequence[str]) -> float:

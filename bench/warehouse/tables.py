@@ -12,10 +12,13 @@ if TYPE_CHECKING:
 
 _GROWTH = {
     "commit_new_seconds": "commit 25 new scenes",
+    "commit_new_cpu_seconds": "of it on processors",
     "commit_again_seconds": "commit 25 scenes anew",
     "neighbors_seconds": "replace 200 neighboring scenes of instances",
     "scattered_seconds": "replace 200 scattered scenes of instances",
     "scene_seconds": "open, and read one scene",
+    "outline_seconds": "the history in outline, as for the status",
+    "outline_cpu_seconds": "of it on processors",
 }
 
 

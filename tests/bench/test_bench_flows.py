@@ -21,8 +21,10 @@ from rich.console import Console
 from bench.flows import report as reporting
 from bench.flows.chaos import Chaos, Kill, _is_said
 from bench.flows.overhead import speed_up
+from bench.flows.projection import Prices, projection
 from bench.flows.report import FlowsBench, added_share, goals, real_share, steps_of
-from bench.flows.runs import PLAIN, Figures, MemorySample, Samples, command_of, figures_of, measured_run, sampled, surroundings
+from bench.flows.requests import Requests, kind_of
+from bench.flows.runs import PLAIN, Figures, MemorySample, Samples, command_of, figures_of, gaps_of, measured_run, sampled, surroundings
 from bench.flows.scale import ScaleBench, exponents, run_scale_bench
 from bench.flows.sharing import Sharing
 from bench.flows.small_scenes import SETTINGS, write_crowded_scan, write_small_scans
@@ -295,16 +297,79 @@ def test_the_power_that_seconds_grow_with_is_found(power: float) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_scale_is_measured_by_stage(tmp_path: Path) -> None:
-    report = run_scale_bench(ScaleBench(objects=(2,), scenes=(1, 2)), folder=tmp_path)
+    report = run_scale_bench(ScaleBench(objects=(2,), scenes=(1, 2), requests=(1, 2)), folder=tmp_path)
     for what, counts in (("objects", (2,)), ("scenes", (1, 2))):
         assert tuple(one["size"] for one in report[what]["sizes"]) == counts
         for one in report[what]["sizes"]:
             assert set(one["stages"]) == {"plan", "commit", "plan again", *(stage.name for stage in SCENE_STAGES)}
             assert all(part["cpu_seconds"] > 0 and 50 < part["memory_mb"] < 4000 for part in one["stages"].values())
         assert report[what]["exponents"] == {}
+        for one in report[what]["sizes"]:
+            held = one["holds"]["bytes"]
+            assert all(held[name] > 0 for name in ("capture", "candidates", "exports", "stage_runs", "other"))
+            assert held["training"] == 0, "nothing trains here"
+    for one in report["requests"]:
+        asked = {name: part["requests"] for name, part in one["stages"].items()}
+        assert asked["captions"]["put"] == 2 * one["size"], "a file of rows, and the run's own"
+        assert asked["plan"]["put"] == asked["plan again"]["put"] == 0
+        assert asked["commit"]["delete"] >= sum(1 for name in asked if name not in ("plan", "commit", "plan again")) * one["size"]
     assert (report["steep"], report["goals"][0]["met"]) == ([], None), "too few sizes to say"
     shown = io.StringIO()
     print_scale(report | {"steep": ["objects: navigation"]}, Console(file=shown, width=160))
     assert "grows faster than linearly: objects: navigation" in shown.getvalue()
     assert CliRunner().invoke(command, ["scale", "--objects", "x"]).exit_code == 2
+    assert "requests to a store of objects, 2 near-empty scenes" in shown.getvalue()
     assert list(tmp_path.iterdir()) == []
+
+
+@given(st.lists(st.tuples(st.sampled_from(["a", "b", "c"]), st.floats(0, 9), st.floats(0, 99)), min_size=1, max_size=20))
+def test_workers_are_in_a_stage_between_two_or_at_an_end(taken: list[tuple[str, float, float]]) -> None:
+    clocks: dict[str, float] = {}
+    runs = []
+    for number, (host, pause, seconds) in enumerate(taken):
+        begun = clocks.get(host, 0.0) + pause
+        clocks[host] = begun + seconds
+        run = stage_run(f"demo/{number}", "captions", fingerprint(number))
+        began = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=begun)
+        runs.append(dataclasses.replace(run, host=host, started_at=began, seconds=seconds))
+    between, edge = gaps_of(runs)
+    first, last = min(run.started_at for run in runs), max(run.started_at + timedelta(seconds=run.seconds) for run in runs)
+    whole = (last - first).total_seconds() * len(clocks)
+    assert between + edge + sum(run.seconds for run in runs) == pytest.approx(whole, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("method", "query", "kind"),
+    [("GET", "", "get"), ("GET", "list-type=2&prefix=a", "list"), ("GET", "prefix=a&x=1", "list"), ("GET", "versionId=1", "get"),
+     ("HEAD", "", "head"), ("PUT", "", "put"), ("POST", "uploads", "put"), ("DELETE", "", "delete")],
+)  # fmt: skip
+def test_requests_are_of_the_kind_that_stores_charge_for(method: str, query: str, kind: str) -> None:
+    requests = Requests()
+    requests.part = "capture"
+    requests.note(method, query)
+    assert kind_of(method, query) == kind
+    assert requests.of("capture") == {name: int(name == kind) for name in ("put", "get", "list", "head", "delete")}
+    assert sum(requests.of("captions").values()) == 0
+
+
+@given(
+    stage=st.integers(0, 50), own=st.integers(0, 50), fixed=st.integers(0, 500), seconds=st.floats(0.1, 99), size=st.integers(1, 10**6),
+    scenes=st.integers(1, 10**7), dear=st.floats(0.1, 9),
+)  # fmt: skip
+def test_more_scenes_are_taken_to_be_like_those_that_were_measured(
+    stage: int, own: int, fixed: int, seconds: float, size: int, scenes: int, dear: float
+) -> None:
+    def counted(number: int) -> dict[str, object]:
+        asked = {"capture": stage * number, "commit": fixed + own * number, "plan": 7, "plan again": 8}
+        kinds = ("put", "get", "list", "head", "delete")
+        return {"size": number, "stages": {name: {"requests": dict.fromkeys(kinds, value)} for name, value in asked.items()}}
+
+    parts = {"capture": {"cpu_seconds": seconds * 100}, "plan": {"cpu_seconds": 5.0}, "commit": {"cpu_seconds": 6.0}}
+    measured = {"size": 100, "stages": parts, "holds": {"files": 3, "bytes": {"capture": 100 * size, "other": 0}}}
+    report = {"scenes": {"sizes": [measured]}, "requests": [counted(10), counted(30)]}
+    found = projection(report, scenes, Prices(core_hour=dear, thousand_puts=1.0, thousand_gets=0.0, gb_month=1.0))
+    assert found["core_hours"] == pytest.approx(scenes * seconds / 3600)
+    assert found["core_usd"] == pytest.approx(scenes * seconds / 3600 * dear)
+    assert found["month_usd"] * 1e9 == pytest.approx(found["bytes"]) == pytest.approx(scenes * size)
+    assert found["put"] == found["get"] == pytest.approx(scenes * (stage + own + fixed / 25), abs=1e-3)
+    assert found["requests_usd"] == pytest.approx((found["put"] + found["list"]) / 1000)

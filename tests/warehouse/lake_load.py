@@ -12,8 +12,9 @@ import json
 import os
 import shutil
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -61,16 +62,16 @@ def writer(lake: Lake, first: int, count: int, rounds: int) -> None:
 def half(lake: Lake) -> None:
     """Stop while a run is staged and while a file is written."""
     storage = lake.storage
-    real = storage.write
 
-    def stop(path: str, data: bytes, lasting: bool = True) -> None:
-        if not path.endswith("stage_runs.parquet"):
-            return real(path, data, lasting)
-        with storage._temporary(data):  # type: ignore[attr-defined]
+    def stop(files: Mapping[str, bytes]) -> None:
+        *others, last = files
+        for path in others:
+            storage.write(path, files[path], lasting=False)
+        with storage._temporary(files[last]):  # type: ignore[attr-defined]
             print("half", flush=True)
             time.sleep(600)
 
-    storage.write = stop  # type: ignore[method-assign]
+    storage.write_together = stop  # type: ignore[method-assign]
     lake.stage_rows(
         stage_run(scene_id(1), "captions", fingerprint(1)), {"captions": [sample(Caption, scene_id=scene_id(1), sentence="half")]}
     )
@@ -83,14 +84,15 @@ def _die_at(step: int) -> Callable[[], int]:
 
     from warehouse.storage.files import LocalStorage
 
-    count = 0
+    count, turn = 0, threading.Lock()
 
     def stepped(real: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any, **named: Any) -> Any:
             nonlocal count
-            count += 1
-            if count == step:
-                os._exit(9)
+            with turn:  # tables are written by several threads
+                count += 1
+                if count == step:
+                    os._exit(9)
             return real(*arguments, **named)
 
         return call

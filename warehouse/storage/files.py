@@ -11,28 +11,32 @@ import errno
 import hashlib
 import os
 import re
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from schemas.errors import InputError, check_address
 from warehouse.sharing.writer import new_token
+from warehouse.storage.locks import locked
 from warehouse.storage.refusals import in_words
 from warehouse.storage.workplace import workplace
 
 if TYPE_CHECKING:
     import pyarrow.fs
 
+T = TypeVar("T")
+U = TypeVar("U")
+
 TEMPORARY = "tmp"
 
 STORES = ("s3://", "gs://", "az://")
 """What addresses in stores of objects begin with: S3 and what speaks it, Google Cloud Storage, Azure."""
 
-LOCK_SECONDS = 60.0
-"""The lock is held while one small file is compared and replaced."""
+SYNCS = 4
+"""Files that are synced at a time: one after another, forty small ones took a disk 266 ms, four at a time 19 ms, eight 15 ms."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -58,6 +62,9 @@ class Storage(Protocol):
         Unless `lasting`, a power failure may take the file's name away again until another file of its folder is written.
         """
 
+    def write_together(self, files: Mapping[str, bytes]) -> None:
+        """Write files as `write` does, in less time than one after another: the last one when all others are there."""
+
     def move_in(self, file: Path, path: str) -> None:
         """Put a finished local file, however large, in the place of a file; it is gone from where it was."""
 
@@ -75,6 +82,12 @@ class Storage(Protocol):
 
     def remove(self, path: str) -> None:
         """Remove a file; one that is not there is no error."""
+
+    def remove_all(self, paths: Sequence[str]) -> None:
+        """Remove files, in no order; those that are not there are no error."""
+
+    def each(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
+        """What `work`, most of which is asking the storage, makes of every item, in their order; several at a time where that is faster."""
 
     def entries(self, folder: str) -> list[Entry]:
         """Files directly inside a folder, sorted by path; empty when there is no such folder."""
@@ -150,12 +163,29 @@ class LocalStorage:
 
     def read(self, path: str) -> bytes:
         """See Storage."""
-        return (self.folder / path).read_bytes()
+        with open(f"{self.address}/{path}", "rb") as file:  # a path object would take as long again
+            return file.read()
 
     def write(self, path: str, data: bytes, lasting: bool = True) -> None:
         """See Storage. Temporary file, fsync, rename, fsync of the folder."""
         with in_words(f"{self.address}/{path}"), self._temporary(data) as temporary:
             self._placed(path, lambda target: os.replace(temporary, target), lasting)
+
+    def write_together(self, files: Mapping[str, bytes]) -> None:
+        """See Storage. A disk syncs several files in the time of one."""
+        temporaries = [self.folder / TEMPORARY / new_token() for _ in files]
+        try:
+            with in_words(self.address), ThreadPoolExecutor(SYNCS, thread_name_prefix="syncs") as threads:
+                for _ in threads.map(self._filled, temporaries, files.values()):
+                    pass
+            for temporary, path in zip(temporaries, files, strict=True):
+                with in_words(f"{self.address}/{path}"):
+                    self._placed(path, partial(os.replace, temporary), lasting=False)
+            for folder in {(self.folder / path).parent for path in files}:
+                _sync_folder(folder)
+        finally:
+            for temporary in temporaries:
+                temporary.unlink(missing_ok=True)
 
     def move_in(self, file: Path, path: str) -> None:
         """See Storage. fsync and rename, or a copy first where the file lies on another file system."""
@@ -192,7 +222,7 @@ class LocalStorage:
             except OSError as error:
                 if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EMLINK):
                     raise
-                with self._exclusive():  # no hard links on this file system: take turns instead
+                with locked(self.folder):  # no hard links on this file system: take turns instead
                     if self.exists(path):
                         return False
                     self._placed(path, lambda target: os.replace(temporary, target))
@@ -214,7 +244,17 @@ class LocalStorage:
 
     def remove(self, path: str) -> None:
         """See Storage."""
-        (self.folder / path).unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(f"{self.address}/{path}")
+
+    def remove_all(self, paths: Sequence[str]) -> None:
+        """See Storage."""
+        for path in paths:
+            self.remove(path)
+
+    def each(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
+        """See Storage. One after another: threads cost more than a disk lets them wait."""
+        return map(work, items)
 
     def entries(self, folder: str) -> list[Entry]:
         """See Storage."""
@@ -259,7 +299,7 @@ class LocalStorage:
 
     def swap(self, path: str, data: bytes | None, tag: str) -> bool:
         """See Storage. Compared and replaced under a lock of the kernel, which dies with its holder."""
-        with self._exclusive():
+        with locked(self.folder):
             current = self.read_tagged(path)
             if current is None or current[1] != tag:
                 return False
@@ -303,19 +343,24 @@ class LocalStorage:
         """A finished temporary file with `data`, removed at the end unless it was renamed."""
         path = self.folder / TEMPORARY / new_token()
         try:
+            with in_words(self.address):
+                self._filled(path, data)
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
+
+    def _filled(self, path: Path, data: bytes) -> None:
+        """Write a new temporary file that lasts."""
+        try:
             path.parent.mkdir(parents=True, exist_ok=True)
             handle = open(path, "xb")  # noqa: SIM115  # closed below: only what goes wrong here is the folder's fault
         except OSError as error:
             problem = f"the lake's folder cannot be made or written to ({error.strerror or error})"
             raise InputError(self.address, "", problem, "give a folder that you can write to") from error
-        try:
-            with in_words(self.address), handle:
-                handle.write(data)
-                handle.flush()
-                os.fsync(handle.fileno())
-            yield path
-        finally:
-            path.unlink(missing_ok=True)
+        with handle:
+            handle.write(data)
+            handle.flush()
+            os.fsync(handle.fileno())
 
     def _placed(self, path: str, place: Callable[[Path], None], lasting: bool = True) -> None:
         """Call `place` with the target of `path`, and make the new name last."""
@@ -327,39 +372,6 @@ class LocalStorage:
             place(target)
         if lasting:
             _sync_folder(target.parent)
-
-    @contextlib.contextmanager
-    def _exclusive(self) -> Iterator[None]:
-        """Hold a lock on the lake's folder; the kernel frees it when the process ends, however it ends."""
-        import fcntl
-
-        with _thread_lock:
-            descriptor = os.open(self.folder, os.O_RDONLY)
-            try:
-                self._wait_for(partial(fcntl.flock, descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB))
-                yield
-            finally:
-                os.close(descriptor)
-
-    def _wait_for(self, lock: Callable[[], None]) -> None:
-        """Take a lock that others hold for milliseconds. A holder that was stopped in these must not stop everybody.
-
-        Raises:
-            TimeoutError: it is held for too long.
-        """
-        deadline, pause = time.monotonic() + LOCK_SECONDS, 0.0005
-        while True:
-            try:
-                return lock()
-            except BlockingIOError:
-                if time.monotonic() > deadline:
-                    text = f"{self.address}: another process has held the lock on this folder for {LOCK_SECONDS:g} s; is it stopped?"
-                    raise TimeoutError(text) from None
-                time.sleep(pause)
-                pause = min(2 * pause, 0.02)
-
-
-_thread_lock = threading.Lock()
 
 
 def _sync_folder(folder: Path) -> None:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -25,7 +27,13 @@ from warehouse.tables.delta import DeltaTables, TableWriter, nullable
 from warehouse.tables.history import Key, StageState, base_of, read_elsewhere, states
 from warehouse.tables.staging import StagedRun, Staging
 
+if TYPE_CHECKING:
+    from deltalake import DeltaTable
+
 _ADOPTED = "adopted"
+
+TABLES_AT_ONCE = 4
+"""Tables that are written at a time: a store lets each of them wait, and a disk with two cores gains a third."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +56,9 @@ class Commit:
         self._tables, self._staging, self._lease, self._calls, self._erased = tables, staging, lease, calls, erased
         self._snapshots = TABLES["snapshots"]
         self._base = self._read_base()
+        self._rows: dict[str, pa.Table] = {}
+        self._files: dict[str, list[str]] = {}
+        self._heads: dict[str, DeltaTable | None] = {}
         self._states: dict[Key, StageState] = {}
         self._done: set[Key] = set()
 
@@ -61,11 +72,7 @@ class Commit:
         is_whole = scenes is None and runs is None  # else who commits has scenes in mind: calls alone are no reason for a snapshot
         if not staged and not removed and not (is_whole and self._calls is not None and self._calls.rows()):
             return None
-        faults = {
-            staged_run.token: fault
-            for staged_run in staged
-            if staged_run.run.outcome == "done" and (fault := self._staging.fault(staged_run))
-        }
+        self._rows, faults = self._staging.taken([staged_run for staged_run in staged if staged_run.run.outcome == "done"])
         self._read_states({staged_run.run.scene_id for staged_run in staged} | set(removed))
         made = plan(self._states, without_faults(staged, faults), removed)
         unwanted = [staged_run for staged_run in made.left if staged_run.run.scene_id in removed]
@@ -77,10 +84,7 @@ class Commit:
         versions = dict(self._base.versions)
         if new or renewed:
             versions["model_calls"] = self._write_calls(new, renewed)
-        for table in TABLES.values():
-            version = self._write_table(table, made)
-            if version is not None:
-                versions[table.name] = version
+        versions |= self._write_tables(made)
         if not made.is_empty:
             versions["stage_runs"] = self._write_runs(made)
         snapshot = Snapshot(
@@ -138,9 +142,11 @@ class Commit:
         opened = self._tables.open("snapshots")
         # Kept as opened: the snapshot's row is only written if nobody wrote one since.
         self._opened_snapshots = opened
-        rows = arrow_to_rows(self._tables.read(self._snapshots, self._tables.files("snapshots", opened)), Snapshot) if opened else []
-        self._snapshot_rows: list[Snapshot] = rows
-        last = max(rows, key=lambda row: row.snapshot_id, default=None)
+        # Kept as rows of Arrow: a lake of many commits has many, and only the last one is asked for anything.
+        self._snapshot_rows = self._tables.read(self._snapshots, self._tables.files("snapshots", opened) if opened else [])
+        ids = self._snapshot_rows.column("snapshot_id")
+        newest = self._snapshot_rows.filter(pc.equal(ids, pc.max(ids)))
+        last = next(iter(arrow_to_rows(newest, Snapshot)), None)
         return Base(last.snapshot_id if last else 0, versions_of(last) if last else {})
 
     def _read_states(self, scenes: Collection[str]) -> None:
@@ -159,13 +165,32 @@ class Commit:
         return {scene for group in named if not group.isdisjoint(scenes) for scene in group}
 
     def _base_files(self, table: Table) -> list[str]:
-        """Files of a table in the version that the commit starts from."""
+        """Files of a table in the version that the commit starts from. The table is opened once, for the writer as well."""
         version = self._base.versions.get(table.name)
-        opened = self._tables.open(table.name, version) if version is not None else None
-        return self._tables.files(table.name, opened) if opened is not None else []
+        if version is not None and table.name not in self._files:
+            head = self._heads[table.name] = self._tables.open(table.name)
+            opened = head if head is not None and head.version() == version else self._tables.open(table.name, version)
+            self._files[table.name] = self._tables.files(table.name, opened) if opened is not None else []
+        return self._files.get(table.name, [])
 
     def _writer(self, table: Table) -> TableWriter:
-        return self._tables.writer(table, self._base.versions.get(table.name), self._lease.check)
+        self._base_files(table)  # while the head is what the commit starts from
+        head = self._heads.pop(table.name) if table.name in self._heads else self._tables.open(table.name)
+        writer = self._tables.writer_from(table, head, self._lease.check)
+        writer.start_from(self._base.versions.get(table.name))
+        return writer
+
+    def _write_tables(self, made: CommitPlan) -> dict[str, int]:
+        """Bring all tables up to date that a plan touches, several at a time, since none waits for another; their versions."""
+        stages = {staged_run.run.stage for staged_run in made.adopted} | {run.stage for run in made.withdrawn}
+        touched = [table for table in TABLES.values() if table.stage in stages]
+        sharing = {table.shared_by for table in TABLES.values() if table.shared_by}
+        for table in TABLES.values():  # before any of them changes
+            if table in touched or table.name in sharing:
+                self._base_files(table)
+        with ThreadPoolExecutor(TABLES_AT_ONCE, thread_name_prefix="tables") as threads:
+            written = threads.map(lambda table: self._write_table(table, made), touched)
+            return {table.name: version for table, version in zip(touched, written, strict=True) if version is not None}
 
     def _write_table(self, table: Table, made: CommitPlan) -> int | None:
         """Bring one table up to date; its version, None when it was not touched."""
@@ -333,13 +358,16 @@ class Commit:
         # The table is small and read by everybody first, so it is kept in one file.
         writer = self._tables.writer_from(self._snapshots, self._opened_snapshots, self._lease.check)
         tokens = " ".join(sorted(staged_run.token for staged_run in adopted))
-        writer.rewrite(rows_to_arrow([*self._snapshot_rows, snapshot], Snapshot), {_ADOPTED: tokens})
+        new = rows_to_arrow([snapshot], Snapshot).cast(self._snapshot_rows.schema)
+        writer.rewrite(pa.concat_tables([self._snapshot_rows, new]), {_ADOPTED: tokens})
 
     def _staged_rows(self, table: Table, new: Sequence[StagedRun]) -> pa.Table:
         """Rows that the adopted runs left in a table, sorted by key, under the table's schema."""
         schema = nullable(table.arrow_schema)
-        parts = [self._staging.read(staged_run.files[table.name]).cast(schema) for staged_run in new if table.name in staged_run.files]
-        data = pa.concat_tables(parts) if parts else schema.empty_table()
+        paths = [staged_run.files[table.name] for staged_run in new if table.name in staged_run.files]
+        read = ((path, self._rows.get(path)) for path in paths)
+        parts = [self._staging.read(path) if rows is None else rows for path, rows in read]
+        data = pa.concat_tables(parts).cast(schema) if parts else schema.empty_table()
         return data.sort_by([(name, "ascending") for name in table.key])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import time
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
@@ -40,22 +41,28 @@ class Reader:
     def __init__(self, storage: Storage, tables: DeltaTables, snapshot_id: int | None = None) -> None:
         self._storage, self._tables = storage, tables
         self._files: dict[str, list[str]] = {}
-        rows = self._listed()
-        self.snapshots: tuple[Snapshot, ...] = tuple(sorted(rows, key=lambda row: row.snapshot_id))
-        if snapshot_id is not None:
-            self.snapshots = tuple(row for row in self.snapshots if row.snapshot_id <= snapshot_id)
-            if snapshot_id != (self.snapshots[-1].snapshot_id if self.snapshots else 0):
-                remedy = f"the lake has snapshots {_ranges([row.snapshot_id for row in rows])}" if rows else "the lake has no snapshot yet"
-                raise InputError(storage.address, "snapshot", f"there is no snapshot {snapshot_id}", remedy)
-        self.snapshot: Snapshot | None = self.snapshots[-1] if self.snapshots else None
+        known = self._listed().sort_by("snapshot_id")
+        ids = known.column("snapshot_id").to_pylist()
+        count = len(ids) if snapshot_id is None else bisect.bisect_right(ids, snapshot_id)
+        if snapshot_id is not None and snapshot_id != (ids[count - 1] if count else 0):
+            remedy = f"the lake has snapshots {_ranges(ids)}" if ids else "the lake has no snapshot yet"
+            raise InputError(storage.address, "snapshot", f"there is no snapshot {snapshot_id}", remedy)
+        self._known = known.slice(0, count)
+        # A lake of many commits has many, and most readers want no more than this one.
+        self.snapshot: Snapshot | None = next(iter(arrow_to_rows(known.slice(max(count - 1, 0), min(count, 1)), Snapshot)), None)
 
-    def _listed(self) -> list[Snapshot]:
-        """All snapshots, and note the file that they are in. A vacuum may have put another in its place before it is read."""
+    @cached_property
+    def snapshots(self) -> tuple[Snapshot, ...]:
+        """This snapshot and those before it, the oldest first."""
+        return tuple(arrow_to_rows(self._known, Snapshot))
+
+    def _listed(self) -> pa.Table:
+        """Rows of all snapshots, and note the file that they are in. A vacuum may have put another in its place before it is read."""
         for pause in (*LOOK_AGAIN_SECONDS, None):
             opened = self._tables.open("snapshots")
             self._files["snapshots"] = self._tables.files("snapshots", opened) if opened is not None else []
             try:
-                return arrow_to_rows(self._tables.read(TABLES["snapshots"], self._files["snapshots"]), Snapshot)
+                return self._tables.read(TABLES["snapshots"], self._files["snapshots"])
             except MissingFile:
                 if pause is None:
                     raise

@@ -289,10 +289,31 @@ def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_
 @command.command("scale")
 @click.option("--objects", default="100,300,1000", show_default=True, help="Numbers of objects in one scene, with commas between.")
 @click.option("--scenes", default="30,100,300", show_default=True, help="Numbers of near-empty scenes, with commas between.")
+@click.option("--requests", metavar="NUMBERS", help="Numbers of near-empty scenes whose requests to a store of objects are counted.")
+@click.option(
+    "--project", type=click.IntRange(1), metavar="SCENES", help="What so many near-empty scenes would take; needs two --requests."
+)
+@click.option(
+    "--usd",
+    "prices",
+    type=float,
+    nargs=4,
+    default=(0.04, 0.005, 0.0004, 0.023),
+    show_default=True,
+    help="Prices for --project: an hour of a core, a thousand puts, a thousand gets, a GB for a month.",
+)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same scenes.")
 @json_option
-def scale(objects: str, scenes: str, seed: int, as_json: bool) -> None:
-    """Measure what grows with the objects of a scene and with the number of scenes: seconds and memory of every stage.
+def scale(
+    objects: str,
+    scenes: str,
+    requests: str | None,
+    project: int | None,
+    prices: tuple[float, float, float, float],
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Measure what grows with the objects of a scene and with the number of scenes: seconds and memory of every stage, and bytes.
 
     With three sizes or more, the power of the size is told that a stage's processor seconds grow with. Every stage does its own work,
     on little, as in `metascenes bench flows`; a thousand objects take about ten minutes of a processor.
@@ -301,11 +322,19 @@ def scale(objects: str, scenes: str, seed: int, as_json: bool) -> None:
 
     Example: metascenes bench scale --objects 10,30,100 --scenes 3,10,30
     """
+    from bench.flows.projection import Prices
     from bench.flows.scale import ScaleBench, run_scale_bench
     from bench.flows.tables import print_scale
 
-    config = ScaleBench(listed_numbers(objects, "--objects"), listed_numbers(scenes, "--scenes"), seed)
-    run_measurement("measured", len(config.objects) + len(config.scenes), partial(run_scale_bench, config), print_scale, as_json)
+    counted = listed_numbers(requests, "--requests") if requests else ()
+    if project is not None and len(set(counted)) < 2:
+        raise click.BadParameter(
+            "needs two numbers of --requests, to tell what a commit asks from what its scenes add", param_hint="--project"
+        )
+    numbers = listed_numbers(objects, "--objects"), listed_numbers(scenes, "--scenes")
+    config = ScaleBench(*numbers, counted, seed, project, Prices(*prices))
+    steps = len(config.objects) + len(config.scenes) + len(config.requests)
+    run_measurement("measured", steps, partial(run_scale_bench, config), print_scale, as_json)
 
 
 @command.command("view")

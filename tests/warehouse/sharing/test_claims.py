@@ -31,6 +31,7 @@ from warehouse.sharing.claims import FOLDER, Claims, claims_of, dead_claims, pat
 from warehouse.sharing.presence import LiveRun, Presence, dead_runs, runs_of, sweep_runs
 from warehouse.sharing.writer import this_writer
 from warehouse.storage.files import LocalStorage, Storage, storage_at
+from warehouse.storage.locks import locked
 from warehouse.upkeep.backup import backup
 from warehouse.upkeep.erasure import erase
 
@@ -294,7 +295,7 @@ def test_a_run_that_was_stopped_for_too_long_finds_its_scene_lost(address: str) 
         with lake.claims() as claims:
             assert not claims.claim(SCENES[0]), "it was renewed meanwhile"
             assert len(lake.live_runs()) == 1
-            with lake.storage._exclusive() if isinstance(lake.storage, LocalStorage) else contextlib.nullcontext():
+            with locked(lake.storage.folder) if isinstance(lake.storage, LocalStorage) else contextlib.nullcontext():
                 process.send_signal(signal.SIGSTOP)  # not while it holds the folder's lock: that would stop everybody
                 time.sleep(0.05)
             while lake.claimed() or lake.live_runs():
