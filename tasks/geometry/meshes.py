@@ -19,7 +19,7 @@ from tasks.containers import weigh_glb
 from tasks.geometry.encoded_images import keep_encoded, put_encoded, textures
 from tasks.geometry.plain_glb import PlainBody, read_plain, write_plain
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
-from tasks.geometry.triangles import face_crosses, spread
+from tasks.geometry.triangles import face_crosses, spread_by
 
 if TYPE_CHECKING:
     import trimesh
@@ -333,7 +333,7 @@ def sample_surface(
     lengths = np.linalg.norm(crosses, axis=1)
     if not lengths.sum() > 0:
         raise ValueError("surface: has no area")
-    face, weights = spread(surface.vertices, surface.faces, count, rng, lengths)
+    face, weights = spread_by(lengths, count, rng)
     corners = surface.faces[face]
     points = np.einsum("nk,nkd->nd", weights, surface.vertices[corners])
     colors = np.einsum("nk,nkd->nd", weights, surface.colors[corners].astype(np.float64))
