@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.candidates.completion import NOTHING_UNSEEN, Unseen, completed
-from tasks.candidates.nodes import Grid, distances, enclosed
+from tasks.candidates.nodes import NodeGrid, distances, enclosed
 from tasks.geometry.isosurfaces import dense_surface
 from tasks.geometry.meshes import Surface
 
@@ -85,7 +85,7 @@ def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN) -> SolidField:
     shape = np.ceil(extent / step).astype(int) + 5
     origin = low - 2 * step
     origin[2] = low[2] - 2.5 * step  # the floor lies halfway between two nodes
-    grid = Grid(origin, step, (int(shape[0]), int(shape[1]), int(shape[2])))
+    grid = NodeGrid(origin, step, (int(shape[0]), int(shape[1]), int(shape[2])))
     vertices = _smoothed(crop)
     # Only near the surface does the amount matter; elsewhere the sign does.
     distance = distances(vertices, crop.faces, grid, FAR_STEPS * step)

@@ -35,7 +35,7 @@ _WAYS: NDArray[np.int64] = np.array(
 
 
 @dataclasses.dataclass(frozen=True)
-class Grid:
+class NodeGrid:
     """Nodes (i, j, k) at `origin` + `step` * (i, j, k) [m], as many along the axes as `shape` says."""
 
     origin: Array
@@ -48,7 +48,7 @@ class Grid:
         return [self.origin[i] + self.step * np.arange(self.shape[i]) for i in range(3)]
 
 
-def distances(vertices: Array, faces: NDArray[np.int64], grid: Grid, far: float) -> NDArray[np.float32]:
+def distances(vertices: Array, faces: NDArray[np.int64], grid: NodeGrid, far: float) -> NDArray[np.float32]:
     """How far triangles are from nodes, cut off at `far` [m], of the grid's shape. vertices: shape (n, 3). faces: shape (m, 3)."""
     x, y, z = (axis.astype(np.float32).astype(np.float64) for axis in grid.axes)
     squares, reach = np.full(grid.shape, far**2), np.full(grid.shape, far)
@@ -56,7 +56,7 @@ def distances(vertices: Array, faces: NDArray[np.int64], grid: Grid, far: float)
     return reach.astype(np.float32)
 
 
-def enclosed(vertices: Array, faces: NDArray[np.int64], grid: Grid, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def enclosed(vertices: Array, faces: NDArray[np.int64], grid: NodeGrid, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which of the nodes that are asked for rays tell to be inside, both of the grid's shape.
 
     Whichever side of a triangle a ray meets first counts: its back, or its front. Nodes that cannot be inside any more are not looked at.

@@ -115,7 +115,7 @@ def _convex_parts(plan: Mask, cuts: int) -> list[Mask]:
     area = hull_area(plan)
     if cuts == 0 or plan.sum() >= CONVEXITY * area or plan.sum() < 4:
         return [plan]
-    best, best_axis, best_position = best_cut(plan, *(_positions(plan.any(axis=1 - axis)) for axis in (0, 1)))
+    best, best_axis, best_position = best_cut(plan, *(_positions(np.asarray(plan.any(axis=1 - axis))) for axis in (0, 1)))
     if best > WORTHWHILE * area:
         return [plan]
     side = np.zeros(plan.shape, dtype=bool)

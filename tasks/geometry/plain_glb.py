@@ -115,8 +115,9 @@ class _Rows:
     """Rows of all bodies, with how many are of each: what an accessor says of them is found for all at once."""
 
     def __init__(self, rows: NDArray[Any], counts: Sequence[int]) -> None:
-        ends = np.cumsum(counts)
-        self._rows, self._bounds, starts = rows, list(zip((ends - counts).tolist(), ends.tolist(), strict=True)), ends - counts
+        ends = np.cumsum(np.asarray(counts, dtype=np.int64))
+        starts = np.concatenate([[0], ends[:-1]]).astype(np.int64)
+        self._rows, self._bounds = rows, list(zip(starts.tolist(), ends.tolist(), strict=True))
         self._most, self._least = (limit.reduceat(rows, starts, axis=0).tolist() for limit in (np.maximum, np.minimum))
 
     def of(self, number: int) -> tuple[bytes, int, list[Any], list[Any]]:

@@ -134,7 +134,8 @@ def test_a_loft_is_what_numpy_makes_of_its_rings(seed: int, count: int, size: in
                 a, b = ring * size + at, ring * size + (at + 1) % size
                 faces.append((a, b + size, a + size) if second else (a, b, b + size))
     fan = [(0, k + 1, k + 2) for k in range(size - 2)]
-    faces += [face[::-1] for face in fan] + [tuple(corner + (count - 1) * size for corner in face) for face in fan]
+    above = (count - 1) * size
+    faces += [(c, b, a) for a, b, c in fan] + [(a + above, b + above, c + above) for a, b, c in fan]
     _, first, place = np.unique(np.round(points / 1e-9).astype(np.int64), axis=0, return_index=True, return_inverse=True)
     corners = place.reshape(-1)[np.array(faces)]
     whole = [len(set(face)) == 3 for face in corners.tolist()]

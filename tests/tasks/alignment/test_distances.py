@@ -70,8 +70,10 @@ def test_measures_are_those_of_numpy(seed: int, k: int, m: int, share: float) ->
     threshold, limit = 0.3, config.truncation * target.diagonal
     placed, tilted, radius = asset.placed(fit)
     assert np.allclose(np.linalg.norm(tilted, axis=1), 1.0)
-    for one, of_all in zip(asset.placed(fit), asset.placed_all([fit, fit]), strict=True):
-        assert np.array_equal(one, of_all[1])
+    points, turned_normals, radii = asset.placed_all([fit, fit])
+    assert np.array_equal(points[1], placed)
+    assert np.array_equal(turned_normals[1], tilted)
+    assert radii.tolist() == [radius, radius]
     scan = disc_distances(target.points, placed, tilted, radius)
     back = np.maximum(nearest_indices(placed, target.points)[1] - target.spacing, 0.0)
     weights = target.weights(placed, tilted, config)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tasks.candidates.nodes import FRONT_SHARE, INSIDE_SHARE, INSIDE_SHARE_ABOVE, Grid, distances, enclosed
+from tasks.candidates.nodes import FRONT_SHARE, INSIDE_SHARE, INSIDE_SHARE_ABOVE, NodeGrid, distances, enclosed
 from tasks.furniture import generate
 from tasks.geometry.meshes import Surface
 from tasks.geometry.proximity import closest_points
@@ -21,16 +21,16 @@ DIRECTIONS = np.array(
 )  # fmt: skip
 
 
-def grid_around(surface: Surface, cells: int, seed: int) -> Grid:
+def grid_around(surface: Surface, cells: int, seed: int) -> NodeGrid:
     """A grid whose lines meet no edge of the surface: where they do, nobody can say which side is met."""
     low, high = surface.bounds
     step = float(max(high - low) / cells)
     shape = np.ceil((high - low) / step).astype(int) + 6
     origin = low - step * (2 + np.random.default_rng(seed).uniform(0.1, 0.9, 3))
-    return Grid(origin, step, (int(shape[0]), int(shape[1]), int(shape[2])))
+    return NodeGrid(origin, step, (int(shape[0]), int(shape[1]), int(shape[2])))
 
 
-def nodes_of(grid: Grid) -> np.ndarray:
+def nodes_of(grid: NodeGrid) -> np.ndarray:
     """All nodes in order, in single precision, shape (n, 3)."""
     return np.stack(np.meshgrid(*grid.axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
 
@@ -64,7 +64,7 @@ def test_distances_are_those_of_an_exact_query(seed: int, count: int, decimals: 
     rng = np.random.default_rng(seed)
     vertices = np.round(rng.normal(size=(3 * count, 3)) * rng.choice([0.05, 1.0], size=(3 * count, 1)), decimals)
     surface = Surface(vertices, rng.integers(0, 3 * count, (count, 3)), np.zeros((3 * count, 3), dtype=np.uint8))
-    grid = Grid(np.array([-1.5, -1.0, -0.7]), 0.31, (9, 7, 6))
+    grid = NodeGrid(np.array([-1.5, -1.0, -0.7]), 0.31, (9, 7, 6))
     expected = np.minimum(closest_points(vertices, surface.faces, nodes_of(grid)).distance, far * grid.step)
     found = distances(vertices, surface.faces, grid, far * grid.step)
     assert np.allclose(found.ravel(), expected, atol=1e-7)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -47,13 +49,14 @@ def test_the_window_of_what_lies_ahead_is_small_and_of_what_is_beside_the_camera
 def test_colors_are_blended_by_where_a_face_is_hit(seed: int) -> None:
     rng = np.random.default_rng(seed)
     part = surface_of(generate("sofa", None, rng).parts).to_trimesh()
-    part.visual.vertex_colors = np.column_stack([rng.integers(0, 256, (len(part.vertices), 3)), np.full(len(part.vertices), 255)])
+    visual: Any = part.visual
+    visual.vertex_colors = np.column_stack([rng.integers(0, 256, (len(part.vertices), 3)), np.full(len(part.vertices), 255)])
     camera = Camera.with_fov(look_at(np.array([2.0, 1.0, 1.5]), np.array([0.0, 0.0, 0.4])), 60, 60, 0.8)
     scene = RayScene([part])
     hits = scene.cast(camera.rays())
     seen = np.isfinite(hits["t_hit"])
     u, v = hits["primitive_uvs"][seen].astype(np.float64).T
-    corners = np.asarray(part.visual.vertex_colors)[np.asarray(part.faces)[hits["primitive_ids"][seen]]][..., :3].astype(np.float64)
+    corners = np.asarray(visual.vertex_colors)[np.asarray(part.faces)[hits["primitive_ids"][seen]]][..., :3].astype(np.float64)
     expected = (1 - u - v)[:, None] * corners[:, 0] + u[:, None] * corners[:, 1] + v[:, None] * corners[:, 2]
     color = scene.colors(hits, (1, 2, 3))
     assert np.abs(color[seen] - expected).max() <= 0.5 + 1e-3
