@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.geometry.box_trees import distances_within
+from tasks.fidelity.box_trees import distances_within
 from tasks.geometry.meshes import Surface
 from tasks.geometry.proximity import closest_points
 from tasks.geometry.triangles import face_crosses, spread_by

@@ -52,21 +52,33 @@ def footprint(surface: Surface, low: float = -np.inf, high: float = np.inf) -> s
     Solids count as filled: a convex component is clipped as a solid, and what an upright wall of faces encloses is closed off.
     The result covers the true projection and, filled holes aside, exceeds it by at most `SEAM_M`; very dense meshes by two `GRID_M`.
     """
+    return footprints(surface, [(low, high)])[0]
+
+
+def footprints(surface: Surface, bands: Sequence[tuple[float, float]]) -> list[shapely.Geometry]:
+    """As `footprint`, between several pairs of heights: what does not hang on them is computed once."""
+    vertices, faces, label = _components(surface)
+    order = np.argsort(label, kind="stable")
+    members = np.split(faces[order], np.flatnonzero(np.diff(label[order])) + 1) if len(faces) else []
+    convex: dict[int, bool] = {}
+    return [_projected(vertices, members, convex, low, high) for low, high in bands]
+
+
+def _projected(
+    vertices: Array, members: Sequence[NDArray[np.int64]], convex: dict[int, bool], low: float, high: float
+) -> shapely.Geometry:  # fmt: skip
+    """The footprint of connected components, given as faces each. convex: Which of them are, as far as known, which grows."""
     import shapely
 
-    vertices, faces, label = _components(surface)
     pieces: list[shapely.Geometry] = []
     loose: list[NDArray[np.int64]] = []
-    tops, bottoms = np.full(label.max(initial=-1) + 1, -np.inf), np.full(label.max(initial=-1) + 1, np.inf)
-    heights = vertices[faces, 2]
-    np.maximum.at(tops, label, heights.max(axis=1))
-    np.minimum.at(bottoms, label, heights.min(axis=1))
-    order = np.argsort(label, kind="stable")
-    for member in np.split(faces[order], np.flatnonzero(np.diff(label[order])) + 1) if len(faces) else []:
+    for index, member in enumerate(members):
         z = vertices[member, 2]
         if z.max() <= low or z.min() >= high:
             continue
-        if _is_convex(vertices, member):
+        if index not in convex:
+            convex[index] = _is_convex(vertices, member)
+        if convex[index]:
             pieces.append(shapely.MultiPoint(_band_points(vertices[member], low, high).reshape(-1, 2)).convex_hull)
         else:
             loose.append(member)

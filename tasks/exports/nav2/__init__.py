@@ -129,15 +129,16 @@ def _standing(body: Body, surface: Surface, config: Nav2Config, climb: float, he
     """An object seen from above. climb, height: Between these [m] the agents of the episodes run into it."""
     import shapely
 
-    from tasks.navigation.obstacles import footprint
+    from tasks.navigation.obstacles import footprints
 
     placed = surface.transformed(body.pose)
     is_open = not config.closed_doors and is_door(body.category)
+    bands = [] if is_open else [(config.lowest_m, config.highest_m)]
+    if not is_open and (climb > config.lowest_m or height < config.highest_m):
+        bands.append((climb, height))
     nothing = shapely.Polygon()
-    outline = nothing if is_open else footprint(placed, config.lowest_m, config.highest_m)
-    driven_over = nothing
-    if not outline.is_empty and (climb > config.lowest_m or height < config.highest_m):
-        driven_over = shapely.difference(outline, footprint(placed, climb, height))
+    outline, *met = footprints(placed, bands) if bands else [nothing]
+    driven_over = shapely.difference(outline, met[0]) if met and not outline.is_empty else nothing
     return Standing(body, outline, driven_over, placed.bounds, is_open)
 
 

@@ -45,7 +45,7 @@ Element = ElementTree.Element
 def check_urdf(path: AnyPath) -> list[Finding]:
     """Everything that is wrong with a URDF file, or with all of a folder and its `poses.json`, sorted."""
     if path.is_dir():
-        files = sorted(path.glob("*.urdf"))
+        files: list[AnyPath] = sorted(path.glob("*.urdf"), key=lambda file: file.name)
         known: dict[Any, Any] = {}
         findings = [finding for file in files for finding in _check(file, known)]
         findings += _poses(path, [file.name for file in files])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +22,16 @@ from schemas.record import check
 from tasks import exports
 from tasks.exports.bodies import identifier, stem
 from tasks.exports.layout import layout, shared_files
-from tasks.stage import Context, Outcome
+from tasks.stage import Context, Outcome, in_turn
 from tests.conftest import REPOSITORY
 from tests.replicas import cube, furnished, rows_of, with_navigation
 
 
-def export(rows: dict[str, list[Any]], blobs: dict[str, bytes], config: exports.ExportsConfig | None = None) -> Outcome:
-    context = Context(rows["scenes"][0].scene_id, "exports", 0, blobs)
+def export(
+    rows: dict[str, list[Any]], blobs: dict[str, bytes], config: exports.ExportsConfig | None = None,
+    spread: Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]] = in_turn,
+) -> Outcome:  # fmt: skip
+    context = Context(rows["scenes"][0].scene_id, "exports", 0, blobs, spread=spread)
     return exports.run(**{name: rows[name] for name in exports.STAGE.reads}, context=context, config=config or exports.ExportsConfig())
 
 
@@ -62,6 +67,20 @@ def test_nothing_in_the_files_tells_where_they_were_made(outcome: Outcome) -> No
         data = outcome.blobs[row.file_blob]
         assert b"/tmp/" not in data, row.path
         assert str(REPOSITORY).encode() not in data, row.path
+
+
+@pytest.mark.parametrize("format_", ["mjcf", "sdf", "urdf"])
+def test_a_format_by_itself_and_far_away_is_what_it_is_beside_others(
+    outcome: Outcome, scene: tuple[dict[str, list[Any]], dict[str, bytes]], format_: str
+) -> None:
+    """What formats have of a shape alike is made once, and travels to other processes: neither shows."""
+    alone = export(*scene, exports.ExportsConfig(formats=(format_,)))
+    both = exports.ExportsConfig(formats=(format_, "glb"))
+    far = export(*scene, both, lambda made, items: [made(pickle.loads(pickle.dumps(item))) for item in items])
+    for table in ("export_files", "export_checks"):
+        rows = [row for row in outcome.rows[table] if row.format == format_]
+        assert alone.rows[table] == rows
+        assert [row for row in far.rows[table] if row.format == format_] == rows
 
 
 _AGAIN = """

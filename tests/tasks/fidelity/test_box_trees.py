@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tasks.geometry.box_trees import distances_within
+from tasks.fidelity.box_trees import distances_within
 from tasks.geometry.proximity import closest_points
 from tests.tasks.geometry.test_proximity import brute
 
@@ -80,7 +80,7 @@ def test_slivers_are_as_far_as_the_segment_that_they_all_but_are(height: float, 
 def test_triangles_without_area_are_the_segment_or_point_that_they_shrank_to() -> None:
     vertices = np.array([[0, 0, 0], [2, 0, 0], [1, 0, 0], [5, 5, 5]], dtype=float)
     faces = [[0, 1, 2], [0, 2, 1], [3, 3, 3]]
-    points = [[0.5, 3, 0], [-3, 0, 4], [5, 5, 7], [1, 0, 0]]
+    points = np.array([[0.5, 3, 0], [-3, 0, 4], [5, 5, 7], [1, 0, 0]])
     assert distances_within(vertices, faces, points, np.inf).tolist() == [3, 5, 2, 0]
     assert distances_within(vertices, faces, points, 3.0).tolist() == [3, np.inf, 2, 0], "the reach itself is within it"
 

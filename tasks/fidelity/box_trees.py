@@ -155,11 +155,11 @@ def _nearest(corners: Array, boxes: Array, points: Array, reach: float) -> Array
                     best, last = nearer, first
                     limit = min(best, reach * reach) * (1.0 + _SLACK) + _SLACK**2
                 continue
-            one, other = _gap(boxes, 2 * node, x, y, z), _gap(boxes, 2 * node + 1, x, y, z)
-            near = 0 if one <= other else 1
+            left, right = _gap(boxes, 2 * node, x, y, z), _gap(boxes, 2 * node + 1, x, y, z)
+            near = 0 if left <= right else 1
             for turn in range(2):  # the nearer one is looked at first: it comes last
                 child = near if turn == 1 else 1 - near
-                gap = one if child == 0 else other
+                gap = left if child == 0 else right
                 if gap <= limit:
                     waiting[depth], gaps[depth] = 2 * node + child, gap
                     depth += 1
