@@ -320,8 +320,8 @@ OWN = {
     "warehouse/questions/macros.py": "SQL of the package",
     "warehouse/release/__init__.py": "the release that is written",
     "warehouse/release/tables.py": "the release that is written",
-    "warehouse/tables/staging.py": "the lake",
     "warehouse/storage/files.py": "the lake",
+    "warehouse/storage/locks.py": "the lake",
     "warehouse/sharing/writer.py": "/proc",
 }
 """Modules that open files by themselves, and which: never what people hand in. That goes through `schemas.files`."""

@@ -77,7 +77,6 @@ def counting_store(requests: Requests) -> Iterator[str]:
         return replies
 
     server = make_server("127.0.0.1", 0, counted, threaded=True, request_handler=Silent)
-    server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, name="store", daemon=True)
     thread.start()
     access = {

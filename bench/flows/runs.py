@@ -196,9 +196,9 @@ def sampled(pid: int) -> Iterator[Samples]:
             process = psutil.Process(pid)
             while not stopped.wait(SAMPLE_SECONDS):
                 own, cpu = process.memory_info().rss, process.cpu_times()
-                others = process.children(recursive=True)
-                children = sum(_memory_of(child) for child in others)
-                watched.others |= {child.pid: seconds for child in others if (seconds := _cpu_of(child)) is not None}
+                offspring = process.children(recursive=True)
+                children = sum(_memory_of(child) for child in offspring)
+                watched.others |= {child.pid: seconds for child in offspring if (seconds := _cpu_of(child)) is not None}
                 watched.samples.append(MemorySample(time.perf_counter() - begun, own / 1e6, children / 1e6))
                 watched.cpu_seconds = cpu.user + cpu.system
         except psutil.Error:  # it is over

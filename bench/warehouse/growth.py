@@ -80,9 +80,12 @@ def growth(scenes: int, seed: int = 0, advance: Callable[[str], None] | None = N
         outlines = [_timed(lake.outline) for _ in range(_RUNS)]
     median = statistics.median
     new_seconds, new_cpu = map(median, zip(*new, strict=True))
-    of_outlines = map(median, zip(*outlines, strict=True))
-    replaced = map(median, (again, neighbors, scattered))
-    return Growth(scenes, rows, new_seconds, *replaced, median(samples), new_cpu, *of_outlines)
+    outline_seconds, outline_cpu = map(median, zip(*outlines, strict=True))
+    return Growth(
+        scenes=scenes, rows=rows, commit_new_seconds=new_seconds, commit_again_seconds=median(again), neighbors_seconds=median(neighbors),
+        scattered_seconds=median(scattered), scene_seconds=median(samples), commit_new_cpu_seconds=new_cpu,
+        outline_seconds=outline_seconds, outline_cpu_seconds=outline_cpu,
+    )  # fmt: skip
 
 
 def steps() -> int:

@@ -71,8 +71,8 @@ class ObjectStorage:
 
     def write_together(self, files: Mapping[str, bytes]) -> None:
         """See Storage."""
-        *others, last = files
-        for _ in self.each(lambda path: self.write(path, files[path]), others):
+        *first, last = files
+        for _ in self.each(lambda path: self.write(path, files[path]), first):
             pass
         self.write(last, files[last])
 

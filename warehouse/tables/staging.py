@@ -236,15 +236,21 @@ class Staging:
         known = self._known
         rows = {path: known[path] for path in paths if path in known}
         new = [path for path in paths if path not in rows]
-        if len(new) > 1 and (together := self._run_rows_together(new)) is not None:
+        is_local = self._storage.local_path(FOLDER) is not None  # a store would be asked four times for each
+        if is_local and len(new) > 1 and (together := self._run_rows_together(new)) is not None:
             return rows | together
-        for path in new:
-            with contextlib.suppress(FileNotFoundError):
-                data = self.read(path)
-                if data.num_rows != 1 or not _are_runs(data):
-                    raise InputError(f"{self._storage.address}/{path}", "", "is no staged run: its columns are others", "remove it")
-                rows[path] = arrow_to_rows(data, StageRun)[0]
+        for path, data in zip(new, self._storage.each(self._read_if_there, new), strict=True):
+            if data is None:
+                continue
+            if data.num_rows != 1 or not _are_runs(data):
+                raise InputError(f"{self._storage.address}/{path}", "", "is no staged run: its columns are others", "remove it")
+            rows[path] = arrow_to_rows(data, StageRun)[0]
         return rows
+
+    def _read_if_there(self, path: str) -> pa.Table | None:
+        with contextlib.suppress(FileNotFoundError):
+            return self.read(path)
+        return None
 
     def _run_rows_together(self, paths: Sequence[str]) -> dict[str, StageRun] | None:
         """The same of several, in several threads and one pass; None where one of them is gone or damaged: file by file shows which."""
