@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from schemas.tables import TABLES
+from schemas.wording import noun
 
 if TYPE_CHECKING:
     from schemas.record import Column, Table
@@ -27,6 +28,18 @@ _TYPES: dict[pa.DataType, str] = {pa.string(): "sc:Text", pa.int64(): "cr:Int64"
                                   pa.timestamp("us", tz="UTC"): "sc:DateTime"}  # fmt: skip
 
 
+def _description(release: Release) -> str:
+    """What a release holds, in a sentence, and what who made it says of it."""
+    scans = f"{release.rooms:,} real {noun(release.rooms, 'room')}"
+    scenes = f"{release.scenes:,} {noun(release.scenes, 'replica scene')} for simulators"
+    objects = f"{release.objects:,} {noun(release.objects, 'object')}"
+    categories = f"{release.categories:,} {noun(release.categories, 'category', 'categories')}"
+    episodes = f"{release.episodes:,} {noun(release.episodes, 'episode')}"
+    placed = f"{release.placed_objects:,} of them replaced by assets"
+    text = f"Scans of {scans} as {scenes}: {objects} of {categories}, {placed}, and {episodes}, as rows of a scene lake."
+    return f"{text} {release.notes}" if release.notes else text
+
+
 def croissant(release: Release, attribution: Attribution, files: Sequence[ReleaseFile], citation: str) -> str:
     """The JSON of a release: its files with their checksums, and a record set of each table with what its columns mean.
 
@@ -41,9 +54,7 @@ def croissant(release: Release, attribution: Attribution, files: Sequence[Releas
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
         "name": f"metascenes-lake-{release.name}",
-        "description": f"Scans of {release.rooms:,} real rooms as {release.scenes:,} replica scenes for simulators: {release.objects:,} "
-        f"objects of {release.categories:,} categories, {release.placed_objects:,} of them replaced by assets, and {release.episodes:,} "
-        "episodes, as rows of a scene lake." + (f" {release.notes}" if release.notes else ""),
+        "description": _description(release),
         "conformsTo": CONFORMS_TO,
         "license": licenses or ["unknown"],
         "citeAs": citation,
