@@ -142,7 +142,7 @@ def test_the_card_states_counts_licenses_and_limits(lake: Lake, folder: Path) ->
         assert f"| {what} | {count:,} |" in card
     assert "for the paper" in card
     assert f"snapshot {release.snapshot_id}" in card
-    assert "0 scans and 1 placed assets have no known license; 2 placed assets no known author." in card
+    assert "0 scans and 1 placed asset have no known license; 2 placed assets no known author." in card
     assert card.count("CC-BY-4.0") == 1
     page = (folder / "ATTRIBUTION.md").read_text()
     assert "**1 of these have no known license.**" in page
