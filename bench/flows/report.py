@@ -24,11 +24,12 @@ from bench.flows.runs import PLAIN, Figures, measured_run
 from bench.flows.services import plain_server, postgres_programs, services
 from bench.flows.sharing import Sharing, shared_runs
 from bench.flows.startup import startup_seconds
+from bench.flows.warm_scenes import GOALS, warm_goals, warm_scenes
 from bench.goals import goal
 from bench.machine import machine
 from warehouse.lake import Lake
 
-PARTS = ("startup", "overhead", "speed", "sharing", "chaos")
+PARTS = ("startup", "overhead", "scene", "speed", "sharing", "chaos")
 """What can be measured on its own. Memory is seen in the overhead's runs."""
 
 RUNNERS = ("pool", "processes", "dask", "ray")
@@ -70,6 +71,7 @@ def steps_of(config: FlowsBench) -> int:
     counts = {
         "startup": 1,
         "overhead": len(config.scenes) * (len(config.runners) + 1) + 1,
+        "scene": 2 * len(GOALS),
         "speed": 2 * config.speed_runs + 2,
         "sharing": 1,
         "chaos": 1,
@@ -103,6 +105,8 @@ def _report(config: FlowsBench, folder: Path, advance: Callable[[str], None]) ->
         advance("a real scene")
         figures = overheads(folder, config.scenes, config.runners, config.workers, config.seed, advance)
         report["overhead"] = [_plain(figure) for figure in figures]
+    if "scene" in config.parts:
+        report["scene"] = [dataclasses.asdict(scene) for scene in warm_scenes(folder / "scene", config.seed, advance)]
     if "speed" in config.parts:
         timed = speed_ups(folder, config.speed_scenes, config.seed, config.speed_runs, advance)
         report["speed"] = [_plain(figure) for figure in timed]
@@ -136,6 +140,8 @@ def goals(report: Mapping[str, Any]) -> list[dict[str, Any]]:
             if figure["runner"] == "pool" and figure["scenes"] >= GROWTH_SCENES:
                 rows.append(goal(f"coordinator's memory, {figure['scenes']:,} scenes [MB]", figure["peak_memory_mb"], "<=", MEMORY_MB))
                 rows.append(goal("its growth in the second half [MB per 1,000 scenes]", figure["growth_mb"], "<=", GROWTH_MB))
+    if "scene" in report:
+        rows += warm_goals(report["scene"])
     if "speed_up" in report:
         rows.append(goal("small scenes: two workers are so many times as fast as one", report["speed_up"], ">=", SPEED_UP))
         rows.append(goal("rooms: two workers are so many times as fast as one", report["room_speed_up"], ">=", SPEED_UP))

@@ -9,6 +9,7 @@ from bench.flows.report import added_share, real_share
 from bench.flows.requests import KINDS
 from bench.flows.runs import PLAIN
 from bench.tables import add_row, as_text, goals_table, headline, table_of
+from schemas.wording import noun
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,6 +26,8 @@ def print_flows(report: Mapping[str, Any], console: Console) -> None:
     if "overhead" in report:
         _print_overhead(report, console)
         _print_memory(report, console)
+    if "scene" in report:
+        _print_scene(report["scene"], console)
     if "speed" in report:
         _print_speed(report, console)
     if "sharing" in report:
@@ -111,6 +114,15 @@ def _print_memory(report: Mapping[str, Any], console: Console) -> None:
         workers = max((sample[2] for sample in figure["samples"]), default=0.0)
         growth = "n/a" if figure["growth_mb"] is None else f"{figure['growth_mb']:.0f}"
         add_row(table, f"{figure['scenes']:,}", figure["runner"], f"{figure['peak_memory_mb']:.0f}", growth, f"{workers:,.0f}")
+    console.print(table)
+
+
+def _print_scene(scenes: Sequence[Mapping[str, Any]], console: Console) -> None:
+    columns = [(f"{scene['objects']} objects, {scene['cores']} {noun(scene['cores'], 'core')}", True) for scene in scenes]
+    table = table_of("one scanned room after another went through: seconds of the clock", ("stage", False), *columns)
+    for stage in scenes[-1]["seconds"]:
+        add_row(table, stage, *(f"{scene['seconds'][stage]:.2f}" for scene in scenes))
+    add_row(table, "all", *(f"{sum(scene['seconds'].values()):.1f}" for scene in scenes))
     console.print(table)
 
 

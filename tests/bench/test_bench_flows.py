@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import os
 import re
 import subprocess
 import sys
@@ -30,6 +31,7 @@ from bench.flows.sharing import Sharing
 from bench.flows.small_scenes import SETTINGS, write_crowded_scan, write_small_scans
 from bench.flows.tables import print_flows, print_scale
 from bench.flows.verdicts import LakeVerdict
+from bench.flows.warm_scenes import WarmScene, warm_goals, warm_scenes
 from flows.commands.bench import command
 from flows.run.configuration import configure
 from schemas.errors import LakeError
@@ -172,6 +174,7 @@ def whole_report(**changes: object) -> dict:
         "machine": {"processor": "a", "cores": 2, "system": "b", "python": "3", "versions": {}}, "seed": 0, "workers": 2,
         "startup": {"import": 1.0}, "real": real, "overhead": made, "speed": speed,
         "speed_up": speed_up(timed), "room_speed": speed, "room_speed_up": speed_up(timed),
+        "scene": [dataclasses.asdict(WarmScene(25, cores, {"capture": 4.0, "exports": 2.0 / cores})) for cores in (1, 2)],
         "sharing": dataclasses.asdict(sharing), "chaos": dataclasses.asdict(chaos),
     }  # fmt: skip
     report |= changes
@@ -196,6 +199,8 @@ def test_goals_are_missed_by_what_they_are_about() -> None:
         assert len(missed(whole_report(chaos=chaos | change))) == 1, change
     assert missed(whole_report(speed_up=1.79)) == ["small scenes: two workers are so many times as fast as one"]
     assert missed(whole_report(room_speed_up=1.79)) == ["rooms: two workers are so many times as fast as one"]
+    slow_scene = [dataclasses.asdict(WarmScene(objects, cores, {"capture": 15.0 / cores})) for objects in (25, 45) for cores in (1, 2)]
+    assert missed(whole_report(scene=slow_scene)) == ["a scanned room of 25 objects on 2 cores [s]"], "on one core there is no goal"
     large = [one | {"peak_memory_mb": 2500.0, "growth_mb": 150.0} for one in good["overhead"]]
     assert len(missed(whole_report(overhead=large))) == 2
     slow = [one | {"overhead_seconds": 1.0} for one in good["overhead"]]
@@ -222,6 +227,7 @@ def test_a_report_is_printed_whole_and_fits_json() -> None:
     for words in ("before the first stage", "overhead per stage run", "memory [MB]", "one worker and two", "two runs at once over 9 scenes",
                   "chaos: 3 kills (1 database, 1 run, 1 worker)", "goals"):  # fmt: skip
         assert words in said
+    assert "all 6.0 5.0" in said, "seconds of a scene, on one core and on two"
     assert file.getvalue().count("\n") > 30
     assert json.loads(json.dumps(report))["overhead"][1]["share"] == pytest.approx(0.1)
 
@@ -292,6 +298,19 @@ def test_the_power_that_seconds_grow_with_is_found(power: float) -> None:
     assert exponents(sizes(power, 30, 100, 300)) == {"steep": pytest.approx(power), "short": pytest.approx(3)}
     assert exponents(sizes(power, 30, 300)) == {}, "two sizes make any line"
     assert exponents(sizes(power, 5, 10, 30)) == {} or power > 2
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_warm_scene_is_timed_by_stage_on_one_core_and_on_all(tmp_path: Path) -> None:
+    told: list[str] = []
+    measured = warm_scenes(tmp_path / "scene", 0, told.append, sizes=(6,))
+    assert [scene.objects for scene in measured] == [6] * len(told)
+    assert [scene.cores for scene in measured] == [1, os.cpu_count()]
+    for scene in measured:
+        assert list(scene.seconds) == [stage.name for stage in SCENE_STAGES]
+        assert min(scene.seconds.values()) > 0
+    assert warm_goals([dataclasses.asdict(scene) for scene in measured]) == [], "rooms of six have none"
 
 
 @pytest.mark.slow
