@@ -99,8 +99,11 @@ ELSEWHERE = {
     "bench/warehouse/rows/trajectories.sql planar": "as above",
     "bench/policy/frames.py mjcf": "what MuJoCo draws is an export of that format",
     "flows/commands/ingest.py habitat": "a layout of finished datasets, whose commands differ in what they take",
+    "flows/commands/library/__init__.py model": "the noun of a count",
+    "flows/commands/training/compare.py model": "as above",
     "flows/commands/training/models.py model": "a parameter, and the head of a column",
     "flows/commands/watch.py library": "the parameter, a folder",
+    "flows/comparison/flow.py model": "as above",
     "flows/inputs/synthesis/batches.py model": "what draws layouts, in their facts and fingerprints",
     "flows/inputs/synthesis/models.py model": "as above",
     "flows/outputs/explain.py model": "the kind of what is explained",
@@ -181,6 +184,10 @@ ELSEWHERE = {
     "warehouse/lineage/libraries.py library": "as above",
     "schemas/capture.py refined": "whose a pose is",
     "tasks/capture/poses/provider.py refined": "as above",
+    "warehouse/questions/views/retrieval_by_category.sql library": "the slot that candidates out of libraries have",
+    "warehouse/release/hub.py habitat": "tags by which people look for data sets",
+    "warehouse/release/hub.py mjcf": "as above",
+    "warehouse/release/hub.py usd": "as above",
 }
 """Where a word that is a member's name stands outside of the member's own modules, and what it means there."""
 

@@ -204,7 +204,7 @@ def test_the_command_says_what_it_does_and_ends_with_1_where_a_scan_cannot_be_re
     assert done.exit_code == 0
     assert [line.split() for line in done.stdout.splitlines()] == [
         ["mesh/flat", "one", "storey"], ["mesh/house", "2", "storeys,", "floors", "at", "0.00,", "2.80", "m:", "divided"],
-        ["1", "scans", "divided,", "0", "unchanged,", "1", "of", "one", "storey,", "0", "failed"],
+        ["1", "scan", "divided,", "0", "unchanged,", "1", "of", "one", "storey,", "0", "failed"],
     ]  # fmt: skip
 
 
