@@ -103,7 +103,7 @@ ELSEWHERE = {
     "flows/commands/training/compare.py model": "as above",
     "flows/commands/training/models.py model": "a parameter, and the head of a column",
     "flows/commands/watch.py library": "the parameter, a folder",
-    "flows/comparison/flow.py model": "as above",
+    "flows/comparison/flow.py model": "the noun of a count",
     "flows/inputs/synthesis/batches.py model": "what draws layouts, in their facts and fingerprints",
     "flows/inputs/synthesis/models.py model": "as above",
     "flows/outputs/explain.py model": "the kind of what is explained",
