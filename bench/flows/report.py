@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -24,7 +25,7 @@ from bench.flows.runs import PLAIN, Figures, measured_run
 from bench.flows.services import plain_server, postgres_programs, services
 from bench.flows.sharing import Sharing, shared_runs
 from bench.flows.startup import startup_seconds
-from bench.flows.warm_scenes import GOALS, warm_goals, warm_scenes
+from bench.flows.warm_scenes import CORES, GOALS, warm_goals, warm_scenes
 from bench.goals import goal
 from bench.machine import machine
 from warehouse.lake import Lake
@@ -35,7 +36,7 @@ PARTS = ("startup", "overhead", "scene", "speed", "sharing", "chaos")
 RUNNERS = ("pool", "processes", "dask", "ray")
 
 SHARE = 0.05
-SPEED_UP = 1.8
+SPEED_UP = 1.9
 MEMORY_MB = 2000.0
 GROWTH_MB = 100.0
 """Per 1,000 scenes: ten thousand would still fit into the memory that a coordinator may have."""
@@ -71,7 +72,7 @@ def steps_of(config: FlowsBench) -> int:
     counts = {
         "startup": 1,
         "overhead": len(config.scenes) * (len(config.runners) + 1) + 1,
-        "scene": 2 * len(GOALS),
+        "scene": len(GOALS) * len(CORES[: os.cpu_count()]),
         "speed": 2 * config.speed_runs + 2,
         "sharing": 1,
         "chaos": 1,

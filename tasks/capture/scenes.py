@@ -140,7 +140,8 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         partial(_surfaces, shell, reading.parts, world, alignment.pose, groups, meanings, config),
         partial(scan_mesh, _geometry(reading), world, alignment, config.max_faces),
     )
-    spread = in_turn if reading.parts else context.spread  # textures of a model take longer to send than to use
+    is_large = reading.parts or len(world.faces) > _MOST_SENT
+    spread = in_turn if is_large else context.spread
     sights, (surfaces, pictures), (mesh, mesh_notes) = spread(_value, work)
     blobs.update(pictures)
     rows, masks = _with_views(rows, [*sights, *instances.sights], reading.frames, context.scene_id, blobs, config, instances.finders)
@@ -222,6 +223,10 @@ FURNITURE_WITH_DOORS = frozenset(
 
 _PROBES = 400
 """Points of an instance that are tested for visibility: their share is then known to 2 or 3 percent."""
+
+
+_MOST_SENT = 2_000_000
+"""Faces of a scan up to which it is sent to other processes, 70 MB for each; textures of a model take longer to send than to use."""
 
 
 def _value(function: Callable[[], Any]) -> Any:

@@ -6,8 +6,9 @@ Nothing is exported unseen: every export is read back and checked, and `export_c
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from collections.abc import Sequence
-from functools import partial
 from pathlib import PurePosixPath
 
 from schemas.candidates import Asset
@@ -31,6 +32,10 @@ __all__ = [
 ]  # fmt: skip
 
 
+_MOST_PREPARED = 400_000
+"""Faces of a scene up to which texts of its meshes are made once, some 25 MB, and sent to who writes the formats."""
+
+
 def run(
     *, scenes: Sequence[Scene], shells: Sequence[Shell], instances: Sequence[Instance], captions: Sequence[Caption],
     assets: Sequence[Asset], placements: Sequence[Placement], supports: Sequence[Support], navmeshes: Sequence[Navmesh],
@@ -48,10 +53,7 @@ def run(
     checks: list[ExportCheck] = []
     named = {navmesh.navmesh_blob: context.blobs[navmesh.navmesh_blob] for navmesh in navmeshes}
     scene = ExportedScene(replica, navmeshes, episodes, named, config)
-    for prepare in [made.prepare for made in map(partial(member, FORMATS), config.formats) if made.prepare is not None]:
-        for body in replica.bodies:
-            prepare(body.shape)
-    work = [(format_, scene) for format_ in config.formats]
+    work = _prepared(scene)
     for format_, made in zip(config.formats, context.spread(_made, work), strict=True):
         passed = not any(finding.is_error for finding in made.findings)
         files += [_row(replica.scene_id, format_, file, passed, blobs) for file in made.files]
@@ -61,6 +63,20 @@ def run(
         message = None if complete else f"{len(replica.bodies)} of {len(placements)} objects"
         checks.append(ExportCheck(scene_id=replica.scene_id, format=format_, rule="complete", passed=complete, message=message))
     return Outcome(export_files=files, export_checks=checks, blobs=blobs, degradations=missed)
+
+
+def _prepared(scene: ExportedScene) -> list[tuple[str, ExportedScene]]:
+    """The scene for each format: with what several of them make of shapes alike, for these, where it is not too large to be sent."""
+    formats = scene.config.formats
+    preparing = {name: made.prepare for name in formats if (made := member(FORMATS, name)).prepare is not None}
+    bodies = scene.replica.bodies
+    bare = {id(body.shape): dataclasses.replace(body.shape) for body in bodies}  # of which nothing was made yet
+    again = tuple(dataclasses.replace(body, shape=bare[id(body.shape)]) for body in bodies)
+    plain = dataclasses.replace(scene, replica=dataclasses.replace(scene.replica, bodies=again))
+    if len(preparing) > 1 and sum(len(part.faces) for body in bodies for part in body.shape.parts) <= _MOST_PREPARED:
+        for body, prepare in itertools.product(bodies, preparing.values()):
+            prepare(body.shape)
+    return [(name, scene if name in preparing else plain) for name in formats]
 
 
 def _made(work: tuple[str, ExportedScene]) -> Export:

@@ -117,7 +117,7 @@ def cut_ahead(assets: Sequence[Uncut], config: PieceConfig, cache: MutableMappin
     for asset in assets:
         key = _key(asset.asset_id, asset.has_pieces, config)
         if (asset.asset_id, asset.has_pieces, config) not in _memo and key not in cache:
-            with contextlib.suppress(KeyError):  # a blob that is missing
+            with contextlib.suppress(KeyError, InputError):  # a blob that is missing or damaged
                 missing[key] = (*asset.glbs(), config, asset.file)
     for key, packed in zip(missing, spread(_packed_pieces, list(missing.values())), strict=True):
         if packed is not None:

@@ -162,7 +162,8 @@ def distinct_rows(rows: NDArray[Any]) -> tuple[Integers, Integers]:
 
 def _ascending(rows: NDArray[Any]) -> Integers:
     """Rows in ascending order, shape (n,), equal ones as they come; whole numbers within a small range are sorted as one."""
-    if np.issubdtype(rows.dtype, np.integer):
+    if np.issubdtype(rows.dtype, np.integer) and rows.dtype != np.uint64:
+        rows = rows.astype(np.int64)  # spans of shorter ones may leave their type
         low = rows.min(axis=0)
         spans = [int(high) - int(least) + 1 for high, least in zip(rows.max(axis=0), low, strict=True)]
         if math.prod(spans) < 2**62:

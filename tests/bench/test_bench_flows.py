@@ -165,7 +165,7 @@ def whole_report(**changes: object) -> dict:
     samples = tuple(MemorySample(5 + k, 200.0, 800.0) for k in range(100))
     made = [reporting._plain(figures(100.0, samples=samples, runner=runner)) for runner in (PLAIN, "pool", "dask")]
     real = reporting._plain(figures(700.0, workers=1, scenes=10))
-    timed = [figures(30, 1, scenes=100), figures(16, 2, scenes=100)]
+    timed = [figures(30, 1, scenes=100), figures(15, 2, scenes=100)]
     speed = [reporting._plain(one) for one in timed]
     sharing = Sharing(9, 3, 10.0, (0, 0), (4, 5), (1, 2), (), (), SOUND)
     kills = (Kill("worker", 1.0, 1), Kill("run", 2.0, 1), Kill("database", 3.0, 2))
@@ -200,7 +200,7 @@ def test_goals_are_missed_by_what_they_are_about() -> None:
     assert missed(whole_report(speed_up=1.79)) == ["small scenes: two workers are so many times as fast as one"]
     assert missed(whole_report(room_speed_up=1.79)) == ["rooms: two workers are so many times as fast as one"]
     slow_scene = [dataclasses.asdict(WarmScene(objects, cores, {"capture": 15.0 / cores})) for objects in (25, 45) for cores in (1, 2)]
-    assert missed(whole_report(scene=slow_scene)) == ["a scanned room of 25 objects on 2 cores [s]"], "on one core there is no goal"
+    assert missed(whole_report(scene=slow_scene)) == ["a scanned room of 25 objects on two cores [s]"], "on one core there is no goal"
     large = [one | {"peak_memory_mb": 2500.0, "growth_mb": 150.0} for one in good["overhead"]]
     assert len(missed(whole_report(overhead=large))) == 2
     slow = [one | {"overhead_seconds": 1.0} for one in good["overhead"]]
@@ -302,11 +302,11 @@ def test_the_power_that_seconds_grow_with_is_found(power: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_a_warm_scene_is_timed_by_stage_on_one_core_and_on_all(tmp_path: Path) -> None:
+def test_a_warm_scene_is_timed_by_stage_on_one_core_and_on_two(tmp_path: Path) -> None:
     told: list[str] = []
     measured = warm_scenes(tmp_path / "scene", 0, told.append, sizes=(6,))
     assert [scene.objects for scene in measured] == [6] * len(told)
-    assert [scene.cores for scene in measured] == [1, os.cpu_count()]
+    assert [scene.cores for scene in measured] == [1, 2][: os.cpu_count()]
     for scene in measured:
         assert list(scene.seconds) == [stage.name for stage in SCENE_STAGES]
         assert min(scene.seconds.values()) > 0

@@ -55,7 +55,7 @@ PLURAL = re.compile(
 ALWAYS_SEVERAL = {
     "flows/training/models.py: len(meant)",  # one that begins so is the model
     "warehouse/lineage/walk.py: count",  # is not what was written, and stands beside that
-    "warehouse/tables/staging.py: held_rows",
+    "warehouse/tables/staging.py: data.num_rows",
 }
 """Counts with a plural of their own."""
 

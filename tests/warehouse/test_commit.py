@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import itertools
 import os
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from tests.samples import fingerprint, sample, stage_run
 from tests.warehouse.lake_load import scene_id, stage_scene
 from warehouse.lake import Lake
 from warehouse.storage.files import LocalStorage
+from warehouse.storage.objects import ObjectStorage
 from warehouse.tables import commit, staging
 from warehouse.tables.datafiles import log_version
 from warehouse.tables.delta import FOLDER
@@ -64,6 +66,32 @@ def test_rows_that_are_not_held_are_read_in_their_turn(tmp_path: Path, monkeypat
     assert committed(tmp_path / "read again") == expected
 
 
+def test_a_disk_that_cannot_be_read_for_a_moment_costs_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    for number in range(2):
+        stage_scene(lake, number, "old", at=number)
+    read = LocalStorage.read
+
+    def refused(storage: LocalStorage, path: str) -> bytes:
+        if path.endswith("@captions.parquet"):
+            raise OSError(errno.EIO, "Input/output error", path)
+        return read(storage, path)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(LocalStorage, "read", refused)
+        with pytest.raises(OSError, match="Input/output error"):
+            lake.commit()
+    lake = Lake.open(tmp_path / "lake")
+    assert lake.snapshot().snapshot_id == 0
+    lake.commit()
+    assert set(lake.snapshot().arrow("stage_runs").column("outcome").to_pylist()) == {"done"}
+    undisturbed = Lake.open(tmp_path / "undisturbed")
+    for number in range(2):
+        stage_scene(undisturbed, number, "old", at=number)
+    undisturbed.commit()
+    assert digests(lake.snapshot()) == digests(undisturbed.snapshot())
+
+
 def test_damage_behind_a_sound_footer_loses_its_own_run_alone(tmp_path: Path) -> None:
     lake = Lake.open(tmp_path / "lake")
     for number in range(2):
@@ -101,15 +129,40 @@ def test_files_that_are_written_together_are_there_in_order_and_whole(tmp_path: 
         seen.append(storage.names("staged"))
         real(source, target)
 
+    synced: list[str] = []
+    sync = os.fsync
+
+    def fsync(descriptor: int) -> None:
+        synced.append(os.readlink(f"/proc/self/fd/{descriptor}"))
+        sync(descriptor)
+
     monkeypatch.setattr(os, "replace", replace)
+    monkeypatch.setattr(os, "fsync", fsync)
     storage.write_together(files)
+    assert synced[-1] == str(tmp_path / "lake" / "staged"), "the names last, once all are there"
+    assert len([path for path in synced if "/tmp/" in path.removeprefix(str(tmp_path))]) == len(files)
     assert seen[-1] == [str(number) for number in range(8)], "the last one comes when all others are there"
     assert {path: storage.read(path) for path in files} == files
     assert storage.names("tmp") == []
-    monkeypatch.setattr(os, "fsync", fails_at(os.fsync, 3))
+    monkeypatch.setattr(os, "fsync", fails_at(sync, 3))
     with pytest.raises(OSError, match="No space left"):
         storage.write_together({f"later/{number}": b"0" for number in range(5)})
     assert storage.names("later") == storage.names("tmp") == []
+
+
+def test_a_store_is_sent_the_last_of_files_when_it_has_all_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    store = ObjectStorage("s3://bucket/lake")
+    begun, there = [], []
+
+    def write(path: str, data: bytes) -> None:
+        begun.append((path, len(there)))
+        time.sleep(0.002 * (9 - data[0]))  # the first ones take longest
+        there.append(path)
+
+    monkeypatch.setattr(store, "write", write)
+    store.write_together({str(number): bytes([number]) for number in range(9)})
+    assert begun[-1] == ("8", 8)
+    assert sorted(there) == [str(number) for number in range(9)]
 
 
 def fails_at(real: Callable[[int], None], number: int) -> Callable[[int], None]:

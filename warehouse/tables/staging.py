@@ -111,13 +111,17 @@ class Staging:
         return bool(self._storage.names(FOLDER, f"{quoted_scene(scene_id)}@"))
 
     def rows(self, table: str, scene_id: str, fingerprint: str) -> list[Any] | None:
-        """Rows that the newest complete staged run of a fingerprint left in a table; None when there is no such run."""
+        """Rows that the newest complete staged run of a fingerprint left in a table; None when there is no such run.
+
+        Which one that is, is looked for once, and again when it is gone.
+        """
         head = f"{quoted_scene(scene_id)}@{TABLES[table].stage}@{fingerprint}@"
-        if head in self._found:
-            rows = self._newest_rows(self._found[head], table)
+        found = self._found.get(head)
+        if found is not None:
+            rows = self._newest_rows(found, table)
             if rows is not None:
                 return rows
-            del self._found[head]
+            self._found.pop(head, None)
         stems = {stem: files for stem, files in self._by_stem(head).items() if _RUNS in files}
         rows = self._newest_rows(stems, table)
         if rows is not None:
@@ -189,19 +193,21 @@ class Staging:
             if int(count) == 0:
                 continue
             try:
-                content = self._storage.read(staged.files[name])
-                data = _rows_in(content)
-                held_rows = data.num_rows
+                content = self._storage.read(staged.files[name])  # a store that is away says nothing of the run: the commit waits
             except (KeyError, FileNotFoundError):
                 return _Looked({}, 0, f"the staged file of {name} is missing")
+            try:
+                data = _rows_in(content)
             except (pa.ArrowException, OSError) as error:
+                if isinstance(error, MemoryError):
+                    raise
                 return _Looked({}, 0, f"the staged file of {name} cannot be read ({' '.join(str(error).split())})")
-            if held_rows != int(count):
-                return _Looked({}, 0, f"the staged file of {name} has {held_rows} rows instead of {count}")
+            if data.num_rows != int(count):
+                return _Looked({}, 0, f"the staged file of {name} has {data.num_rows} rows instead of {count}")
             if not data.schema.equals(TABLES[name].arrow_schema):
                 return _Looked({}, 0, f"the staged file of {name} was written under another schema")
             rows[staged.files[name]] = data
-            size += len(content)
+            size += data.nbytes
         return _Looked(rows, size, None)
 
     def remove(self, runs: Sequence[StagedRun]) -> None:

@@ -273,6 +273,9 @@ def test_pieces_cut_ahead_are_those_cut_when_asked_for() -> None:
     def gone() -> tuple[bytes, bytes | None]:
         raise KeyError("blob")
 
+    def damaged() -> tuple[bytes, bytes | None]:
+        raise InputError("blobs/ab", "", "does not have the content that its name says", "restore it")
+
     def aside(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
         return [pickle.loads(pickle.dumps(function(pickle.loads(pickle.dumps(item))))) for item in items]
 
@@ -282,6 +285,7 @@ def test_pieces_cut_ahead_are_those_cut_when_asked_for() -> None:
         Uncut("d" * 64, lambda: (glb, own), True, "d.glb"),
         Uncut("e" * 64, gone, False, "e.glb"),
         Uncut("f" * 64, lambda: (b"no GLB", None), False, "f.glb"),
+        Uncut("0" * 64, damaged, False, "0.glb"),
     ]
     cut_ahead(assets, CONFIG, ahead, aside)
     asked: dict[str, bytes] = {}
