@@ -39,7 +39,7 @@ COMMANDS = {
     "synthesize": "Draw what stands on a table, and make scenes of it that simulators load.",
     "status": "Say what is done, running, failed and stale, from the lake alone.",
     "deploy": "Schedule runs on a Prefect server, or start one with a worker.",
-    "lake": "Compact, vacuum, back up, restore the lake, or erase a scene from it.",
+    "lake": "Compact, vacuum, measure, back up, restore the lake, or erase a scene from it.",
     "doctor": "Check a USD, MJCF, URDF, SDF or GLB file, a map, a Habitat dataset or the lake.",
     "bench": "Measure quality and speed on this machine.",
 }

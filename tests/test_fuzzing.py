@@ -38,6 +38,7 @@ OWN = {
     "tasks/navigation/recast.py RecastPathFinder.": "is given navmeshes that were read",
     "tasks/exports/habitat/dataset.py": "joins our own exports",
     "tasks/exports/files.py files_below": "reads what was just exported",
+    "tasks/exports/usd/layers.py new_stage": "opens what was just written",
     "tasks/exports/usd/package.py package": "packs what was just exported",
     "tasks/exports/wavefront.py as_png": "turns textures of the lake",
     "tasks/captions/physics.py materials": "reads the package's own table",
