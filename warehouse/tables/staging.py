@@ -116,9 +116,9 @@ class Staging:
         Which one that is, is looked for once, and again when it is gone.
         """
         head = f"{quoted_scene(scene_id)}@{TABLES[table].stage}@{fingerprint}@"
-        found = self._found.get(head)
-        if found is not None:
-            rows = self._newest_rows(found, table)
+        former = self._found.get(head)
+        if former is not None:
+            rows = self._newest_rows(former, table)
             if rows is not None:
                 return rows
             self._found.pop(head, None)
