@@ -24,9 +24,10 @@ GOALS = {25: 7.0, 45: 14.0}
 """Seconds that a room with so many objects may take on two cores."""
 
 CORES = (1, 2)
+"""Cores that a stage may use; on a machine with one, one."""
 
 _FIRST = 15
-"""Objects of the room that comes before: enough for every kernel and every import."""
+"""Objects of the room that comes before, for imports and kernels."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from tasks.fidelity.box_trees import distances_within
 from tasks.geometry.proximity import closest_points
+from tests.tasks.geometry.slivers import slivers
 from tests.tasks.geometry.test_proximity import brute
 
 
@@ -65,15 +66,7 @@ def test_neither_the_order_of_points_nor_that_of_faces_changes_a_byte() -> None:
 @pytest.mark.parametrize("height", [0.0, 1e-17, 1e-14, 1e-10, 1e-8, 1e-6, 1e-4])
 @pytest.mark.parametrize("turn", [0, 1, 2])
 def test_slivers_are_as_far_as_the_segment_that_they_all_but_are(height: float, turn: int) -> None:
-    rng = np.random.default_rng(7)
-    start, way, side = rng.normal(size=(3, 200, 3))
-    side -= np.einsum("ni,ni->n", side, way)[:, None] / np.einsum("ni,ni->n", way, way)[:, None] * way
-    tip = start + rng.uniform(0, 1, (200, 1)) * way + height * side
-    corners = np.roll(np.stack([start, start + way, tip], axis=1), turn, axis=1)
-    points = rng.normal(size=(200, 3))
-    along = np.clip(np.einsum("ni,ni->n", points - start, way) / np.einsum("ni,ni->n", way, way), 0, 1)
-    segment = np.linalg.norm(start + along[:, None] * way - points, axis=1)
-    for corner, point, distance in zip(corners, points, segment, strict=True):
+    for corner, point, distance in zip(*slivers(height, turn), strict=True):
         assert distances_within(corner, [[0, 1, 2]], point[None], np.inf)[0] == pytest.approx(distance, abs=5 * height + 1e-8)
 
 
