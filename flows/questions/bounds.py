@@ -84,6 +84,8 @@ def _interruptible(work: Callable[[Callable[[Callable[[], None]], None]], T]) ->
         thread.start()
         try:
             heard(True)
+            while not done.done():  # never for ever: a signal that comes just before the wait does not end it
+                wait([done], _LOOK)
             result = done.result()
         except KeyboardInterrupt:
             heard(False)

@@ -118,6 +118,13 @@ class Terminal:
     def type(self, text: str) -> None:
         os.write(self._ours, text.encode())
 
+    def interrupt(self) -> None:
+        """Ctrl-C to a command that waits for a line: one that comes between the prompt and the wait would be noticed at the next key."""
+        stat = Path(f"/proc/{self.process.pid}/stat")
+        while stat.read_text().rpartition(")")[2].split()[0] != "S":
+            assert self.process.poll() is None
+        self.type("\x03")
+
     def ask(self, line: str) -> list[str]:
         """What is answered to a line, in lines, once the next prompt is there."""
         self.type(f"{line}\n")
@@ -166,7 +173,7 @@ def test_a_person_at_a_terminal(lake: Lake, tmp_path: Path) -> None:
             assert line.startswith("SQL: "), line
         seen.type("SELECT 'a line that is dropped\n")
         seen.until(MORE)
-        seen.type("\x03")
+        seen.interrupt()
         seen.until(PROMPT)
         assert seen.ask("SELECT 2 AS n;") == ["n", "-", "2", "(1 row)"], "nothing is left of the line before"
         seen.type("SELECT scene_id FROM scene_ov\t")
