@@ -23,5 +23,7 @@ RUN pip install --no-cache-dir --no-deps --no-build-isolation .
 RUN useradd --create-home --uid 1000 metascenes && install -d -o metascenes -g metascenes /home/metascenes/.prefect /out
 USER metascenes
 WORKDIR /home/metascenes
-ENV DO_NOT_TRACK=1 PREFECT_SERVER_ANALYTICS_ENABLED=false
+ENV DO_NOT_TRACK=1 PREFECT_SERVER_ANALYTICS_ENABLED=false NUMBA_CACHE_DIR=/home/metascenes/.cache/kernels
+# On a processor of another kind than the one that builds the image, workers compile again.
+RUN metascenes compile
 CMD ["metascenes", "--help"]

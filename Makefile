@@ -18,7 +18,7 @@ RECAST := native/build/libmetascenes_recast.so
 help:  ## Say what there is to make.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-demo: $(VENV)/.run-ready  ## Raw scans in, replica scenes out, in ./demo.
+demo: $(VENV)/.compiled  ## Raw scans in, replica scenes out, in ./demo.
 	@$(MAKE) --no-print-directory client || echo "make demo: goes on without the viewer, which wants three.js from npm once" >&2
 	$(BIN)/metascenes demo --out $(OUT)
 
@@ -86,6 +86,11 @@ $(VENV)/.made:
 $(VENV)/.run-ready: requirements/run.lock pyproject.toml | $(VENV)/.made
 	$(PIP) install -q --no-deps -r requirements/run.lock
 	$(PIP) install -q --no-deps --no-build-isolation -e .
+	touch $@
+
+# By all cores and once for each kernel; workers would each compile them all. What changes later is compiled when it is called.
+$(VENV)/.compiled: $(VENV)/.run-ready
+	$(BIN)/metascenes compile
 	touch $@
 
 # With what it depends on, in the versions of the lock: a build of torch for graphics cards brings libraries that no lock names.

@@ -40,6 +40,7 @@ COMMANDS = {
     "status": "Say what is done, running, failed and stale, from the lake alone.",
     "deploy": "Schedule runs on a Prefect server, or start one with a worker.",
     "lake": "Compact, vacuum, measure, back up, restore the lake, or erase a scene from it.",
+    "compile": "Compile what runs compute with, once for this machine.",
     "doctor": "Check a USD, MJCF, URDF, SDF or GLB file, a map, a Habitat dataset or the lake.",
     "bench": "Measure quality and speed on this machine.",
 }

@@ -288,6 +288,7 @@ OPENERS = {"read_text", "read_bytes", "load_mesh", "ZipFile", "from_xml_path"}
 OWN = {
     "schemas/files.py": "the one place",
     "tasks/captions/vision_language.py": "prompts of the package",
+    "tasks/kernels/ahead.py": "kernels of the package",
     "flows/run/bounds.py": "the null device",
     "flows/server/access.py": "tokens of servers of this machine, in files of our own",
     "flows/questions/bounds.py": "the answer that is written, and /proc",
@@ -311,7 +312,7 @@ OWN = {
     "tasks/exports/files.py": "the export that is written",
     "tasks/exports/mjcf/rules.py": "MuJoCo opens by itself",
     "tasks/exports/usd/package.py": "a file that is open",
-    "tasks/kernels.py": "code of the project",
+    "tasks/kernels/__init__.py": "code of the project",
     "tasks/navigation/habitat.py": "what a child process of ours wrote",
     "tasks/optimization/engines/newton_engine.py": "what a child process of ours wrote",
     "tasks/optimization/engines/newton_script.py": "what its parent wrote",

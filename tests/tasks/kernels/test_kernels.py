@@ -39,7 +39,7 @@ def test_a_function_that_calls_a_changed_one_of_another_module_is_compiled_anew(
     room = tmp_path / "tasks"
     room.mkdir()
     (room / "__init__.py").touch()
-    shutil.copyfile(REPOSITORY / "tasks" / "kernels.py", room / "kernels.py")
+    shutil.copytree(REPOSITORY / "tasks" / "kernels", room / "kernels", ignore=shutil.ignore_patterns("__pycache__"))
     (room / "caller.py").write_text(CALLER)
 
     def twice(what: int) -> tuple[int, set[str]]:

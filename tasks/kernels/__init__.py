@@ -48,7 +48,7 @@ def _keep_apart() -> None:
     """
     import numba
 
-    rooms = Path(__file__).parent
+    rooms = Path(__file__).parent.parent
     sources = {path.relative_to(rooms).as_posix(): path.read_bytes() for path in sorted(rooms.rglob("*.py"))}
     hasher = hashlib.sha256()
     for name, source in sources.items():
