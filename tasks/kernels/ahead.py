@@ -11,7 +11,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 if TYPE_CHECKING:
     from numba.core.types import Type
@@ -61,7 +61,7 @@ def text_of(kind: Type) -> str:
     """
     from numba.core import types
 
-    if isinstance(kind, types.BaseNamedTuple):
+    if isinstance(kind, types.NamedTuple | types.NamedUniTuple):
         own = kind.instance_class
         return f"{own.__module__}:{own.__qualname__}({', '.join(text_of(each) for each in kind.types)})"
     text = str(kind)
@@ -79,7 +79,7 @@ def type_of(text: str) -> Type:
     from numba.core import types
 
     if match := _ARRAY.fullmatch(text):
-        readonly, item, dimensions, layout = match.groups()
+        readonly, item, dimensions, layout = cast("tuple[str | None, str, str, Literal['C', 'F', 'A']]", match.groups())
         return types.Array(type_of(item), int(dimensions), layout, readonly=bool(readonly))
     if text.endswith(")") and ":" in text:
         name, _, inner = text.removesuffix(")").partition("(")
