@@ -17,6 +17,8 @@ WARM_SCENES = 2
 SPEED_SCENES = 100
 """Scenes that one worker is timed on beside two: enough that the end, when one of two has nothing left, does not count."""
 
+ALONE = {1: 1}
+"""Cores that runs of so many workers are kept to when they are timed: two workers on two cores have no more for each than one on one."""
 
 SPEED_ROOMS = 6
 """Rooms that one worker is timed on beside two: the same number for both of two, and not all of the same size."""
@@ -36,12 +38,12 @@ def overheads(
 
 
 def speed_ups(folder: Path, scenes: int, seed: int, runs: int, advance: Callable[[str], None]) -> list[Figures]:
-    """The same scenes on the pool by one worker and by two, in turn, so often each."""
+    """The same scenes on the pool by one worker, all of its run on one core, and by two on all cores, in turn, so often each."""
     scans = small_scans(folder, scenes, seed)
     figures = []
     for _ in range(runs):
         for workers in (1, 2):
-            figures.append(_measured(folder, "pool", scans, workers))
+            figures.append(_measured(folder, "pool", scans, workers, cores=ALONE.get(workers)))
             advance(f"{scenes:,} scenes, {workers} workers")
     return figures
 
@@ -55,20 +57,20 @@ def real_run(folder: Path, seed: int) -> Figures:
 
 
 def room_speed_ups(folder: Path, rooms: int, seed: int, advance: Callable[[str], None]) -> list[Figures]:
-    """So many generated rooms of about 25 objects, with default settings, on the pool by one worker and by two."""
+    """So many generated rooms of about 25 objects, with default settings, by one worker, all of its run on one core, and by two."""
     scans = folder / f"rooms{rooms}"
     if not scans.exists():
         for index in range(rooms):
             demo_scan(scans, index, seed)
     figures = []
     for workers in (1, 2):
-        figures.append(_measured(folder, "pool", scans, workers, ()))
+        figures.append(_measured(folder, "pool", scans, workers, (), ALONE.get(workers)))
         advance(f"{rooms} rooms, {workers} workers")
     return figures
 
 
 def speed_up(figures: Sequence[Figures]) -> float:
-    """How many times as fast two workers do the work as one: medians over the runs of each."""
+    """How many times as fast two workers do the work as one on one core: medians over the runs of each."""
     seconds = {workers: statistics.median(figure.work_seconds for figure in figures if figure.workers == workers) for workers in (1, 2)}
     return seconds[1] / seconds[2]
 
@@ -85,10 +87,12 @@ def warm_up(folder: Path, runners: Sequence[str], seed: int) -> None:
         _measured(folder, runner, small_scans(folder, WARM_SCENES, seed), 1)
 
 
-def _measured(folder: Path, runner: str, scans: Path, workers: int, settings: Sequence[str] = SETTINGS) -> Figures:
+def _measured(
+    folder: Path, runner: str, scans: Path, workers: int, settings: Sequence[str] = SETTINGS, cores: int | None = None
+) -> Figures:
     """A run into a lake that is removed again."""
     lake = folder / f"lake-{runner}"
     try:
-        return measured_run(runner, scans, lake, workers, folder, settings)
+        return measured_run(runner, scans, lake, workers, folder, settings, cores)
     finally:
         shutil.rmtree(lake, ignore_errors=True)

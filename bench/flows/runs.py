@@ -18,7 +18,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -123,8 +123,11 @@ def measured_run(
     workers: int,
     home: Path,
     settings: Sequence[str] = SETTINGS,
+    cores: int | None = None,
 ) -> Figures:
     """Run all scans into a new lake, and measure it. The caches of `home` are emptied first: nothing is remembered.
+
+    cores: That all processes of the run are kept to, where the system can do that; None for those of the machine.
 
     Raises:
         LakeError: the run failed; with the last line that it said.
@@ -135,7 +138,7 @@ def measured_run(
     with log_file.open("wb") as log:
         process = subprocess.Popen(
             command_of(runner, scans, lake, workers, settings), env=surroundings(home),
-            stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            stdin=subprocess.DEVNULL, stdout=log, stderr=log, preexec_fn=_keeping_to(cores),
         )  # fmt: skip
         with sampled(process.pid) as watched:
             code = process.wait()
@@ -144,6 +147,14 @@ def measured_run(
         last = (log_file.read_text(errors="replace").strip().splitlines() or ["it said nothing"])[-1]
         raise LakeError(f"the run with {runner} ended with {code}: {last}")
     return figures_of(Lake.open(lake), runner, workers, begun, seconds, load, watched)
+
+
+def _keeping_to(cores: int | None) -> Callable[[], None] | None:
+    """What keeps a process and its children to so many of the cores that this one may use."""
+    if cores is None or not hasattr(os, "sched_setaffinity"):
+        return None
+    chosen = sorted(os.sched_getaffinity(0))[:cores]
+    return lambda: os.sched_setaffinity(0, chosen)
 
 
 def figures_of(lake: Lake, runner: str, workers: int, begun: float, seconds: float, load: float, watched: Samples) -> Figures:

@@ -197,8 +197,8 @@ def test_goals_are_missed_by_what_they_are_about() -> None:
     assert len(missed(whole_report(chaos=chaos | {"verdict": broken}))) == 1
     for change in ({"codes": (0, 1)}, {"hung": 1}, {"redone": ("a",)}, {"unsaid": ("a",)}, {"kills": ()}, {"lost": ()}):
         assert len(missed(whole_report(chaos=chaos | change))) == 1, change
-    assert missed(whole_report(speed_up=1.79)) == ["small scenes: two workers are so many times as fast as one"]
-    assert missed(whole_report(room_speed_up=1.79)) == ["rooms: two workers are so many times as fast as one"]
+    assert missed(whole_report(speed_up=1.79)) == ["small scenes: two workers are so many times as fast as one on one core"]
+    assert missed(whole_report(room_speed_up=1.79)) == ["rooms: two workers are so many times as fast as one on one core"]
     slow_scene = [dataclasses.asdict(WarmScene(objects, cores, {"capture": 15.0 / cores})) for objects in (25, 45) for cores in (1, 2)]
     assert missed(whole_report(scene=slow_scene)) == ["a scanned room of 25 objects on two cores [s]"], "on one core there is no goal"
     large = [one | {"peak_memory_mb": 2500.0, "growth_mb": 150.0} for one in good["overhead"]]
@@ -224,7 +224,7 @@ def test_a_report_is_printed_whole_and_fits_json() -> None:
     file = io.StringIO()
     print_flows(report, Console(file=file, width=200))
     said = " ".join(file.getvalue().split())  # a title is as wide as its table
-    for words in ("before the first stage", "overhead per stage run", "memory [MB]", "one worker and two", "two runs at once over 9 scenes",
+    for words in ("before the first stage", "overhead per stage run", "memory [MB]", "one core and two", "two runs at once over 9 scenes",
                   "chaos: 3 kills (1 database, 1 run, 1 worker)", "goals"):  # fmt: skip
         assert words in said
     assert "all 6.0 5.0" in said, "seconds of a scene, on one core and on two"

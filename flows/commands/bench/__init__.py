@@ -259,14 +259,20 @@ def warehouse(scenes: int, seed: int, runs: int, parts: str, as_json: bool) -> N
 @click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Worker processes of every run.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same scenes and kills.")
 @click.option("--parts", default="", help="Measure only these, with commas between: startup, overhead, scene, speed, sharing, chaos.")
-@click.option("--speed-scenes", type=click.IntRange(4), default=100, show_default=True, help="Scenes that one worker and two are timed on.")
-@click.option("--speed-rooms", type=click.IntRange(2), default=6, show_default=True, help="Rooms of about 25 objects that they are, too.")
+@click.option(
+    "--speed-scenes",
+    type=click.IntRange(4),
+    default=100,
+    show_default=True,
+    help="Scenes for one worker on one core, and two.",
+)
+@click.option("--speed-rooms", type=click.IntRange(2), default=6, show_default=True, help="Rooms of about 25 objects for them.")
 @click.option("--chaos-scenes", type=click.IntRange(1), default=50, show_default=True, help="Scenes of the run that is disturbed.")
 @click.option("--kills", type=click.IntRange(0), default=12, show_default=True, help="How many times something is killed in it.")
 @json_option
 def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_scenes: int, speed_rooms: int, chaos_scenes: int,
           kills: int, as_json: bool) -> None:  # fmt: skip
-    """Measure the flows: what orchestration costs, one warm scene, two workers beside one, memory, two runs at once, and chaos.
+    """Measure the flows: what orchestration costs, one warm scene, two workers beside one on one core, memory, two runs at once, and chaos.
 
     Small scenes are run by `metascenes run` as anybody would; all seven stages of one take about half a second. Chaos kills
     workers, runs, the Prefect server and its PostgreSQL at random, and needs PostgreSQL's programs (Debian: postgresql).
