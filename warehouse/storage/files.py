@@ -248,9 +248,10 @@ class LocalStorage:
             os.unlink(f"{self.address}/{path}")
 
     def remove_all(self, paths: Sequence[str]) -> None:
-        """See Storage."""
-        for path in paths:
-            self.remove(path)
+        """See Storage. A disk that is told of every block that is freed takes several files in the time of one."""
+        with ThreadPoolExecutor(SYNCS, thread_name_prefix="removals") as threads:
+            for _ in threads.map(self.remove, paths):
+                pass
 
     def each(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
         """See Storage. One after another: threads cost more than a disk lets them wait."""
