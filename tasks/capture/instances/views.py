@@ -128,9 +128,9 @@ def _search(
     width = min(SEARCH_WIDTH, frame.width)
     height = max(1, round(frame.height * width / frame.width))
     camera = _camera(frame, alignment, (width, height))
-    hits = scene.cast(camera.rays())
-    label = _labels(hits["primitive_ids"], face_instance)
-    inside, seen = _visible(camera, hits["t_hit"], frame, alignment, points)
+    rendered, face = scene.first_faces(camera.rays())
+    label = _labels(face, face_instance)
+    inside, seen = _visible(camera, rendered, frame, alignment, points)
     in_image = np.bincount(owner[inside], minlength=count)
     visible = np.bincount(owner[seen], minlength=count)
     factor = frame.width / width
@@ -216,7 +216,7 @@ def _masks(
     for candidate in candidates:
         x0, y0, x1, y1 = candidate.window
         part = dataclasses.replace(camera, cx=camera.cx - x0, cy=camera.cy - y0, width=x1 - x0, height=y1 - y0)
-        mask = _labels(scene.cast(part.rays())["primitive_ids"], face_instance) == candidate.instance
+        mask = _labels(scene.first_faces(part.rays())[1], face_instance) == candidate.instance
         if not mask.any():
             continue
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -233,11 +233,9 @@ def _masks(
     return sights
 
 
-def _labels(primitives: NDArray[np.uint32], face_instance: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Instance at each ray's hit, -1 where there is none."""
-    face = primitives.astype(np.int64)
-    hit = face < len(face_instance)
-    return np.where(hit, face_instance[np.where(hit, face, 0)], -1)
+def _labels(face: NDArray[np.int64], face_instance: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Instance at each ray's hit, -1 where there is none. face: -1 for none."""
+    return np.where(face >= 0, face_instance[face], -1)
 
 
 def view_of(image: NDArray[np.uint8], pixel_box: tuple[int, int, int, int]) -> NDArray[np.uint8]:
