@@ -7,6 +7,7 @@ the check of every row (`check`), SQL comments and the documentation pages.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import re
 import types
@@ -219,7 +220,7 @@ def rows_to_arrow(rows: Sequence[Any], record_type: type) -> pa.Table:
     table = table_of(record_type)
     check(rows, record_type)
     ordered = sorted(rows, key=lambda row: tuple(getattr(row, name) for name in table.key))
-    arrays = [pa.array([_plain(getattr(row, c.name)) for row in ordered], type=c.type) for c in table.columns]
+    arrays = [pa.array([getattr(row, c.name) for row in ordered], type=c.type) for c in table.columns]
     return pa.Table.from_arrays(arrays, schema=table.arrow_schema)
 
 
@@ -240,7 +241,9 @@ def check(rows: Iterable[Any], record_type: type) -> None:
     Raises:
         RecordError: names table, row, field and rule.
     """
-    table = table_of(record_type)
+    table, rows = table_of(record_type), list(rows)
+    if _are_sound(rows, table):
+        return
     seen: set[tuple[Any, ...]] = set()
     for index, row in enumerate(rows):
         if type(row) is not record_type:
@@ -254,6 +257,49 @@ def check(rows: Iterable[Any], record_type: type) -> None:
         if key in seen:
             raise RecordError(table.name, f"{index} {key}", ", ".join(table.key), "must be unique")
         seen.add(key)
+
+
+def _are_sound(rows: Sequence[Any], table: Table) -> bool:
+    """Whether rows are seen to keep every rule, column by column, in a tenth of the time of one value after another; false where one does
+    not, or may not."""
+    if not all(type(row) is table.record for row in rows):
+        return False
+    columns = {c.name: [getattr(row, c.name) for row in rows] for c in table.columns}
+    if not all(_keeps_rules(columns[c.name], c) for c in table.columns):
+        return False
+    return len(set(zip(*(columns[name] for name in table.key), strict=True))) == len(rows)
+
+
+def _keeps_rules(values: Sequence[Any], c: Column) -> bool:
+    """Whether a column's values are all seen to keep its rules."""
+    kinds = set(map(type, values))
+    if type(None) in kinds:
+        if not c.nullable:
+            return False
+        values, kinds = [value for value in values if value is not None], kinds - {type(None)}
+    if not kinds <= set(_expected(c)):  # of a subclass, too: rare, and the rules take their time for it
+        return False
+    if (c.values or c.pattern) and not kinds <= {str}:
+        return False
+    if c.values and not set(values) <= set(c.values):
+        return False
+    if c.pattern and not all(re.fullmatch(c.pattern, value) for value in set(values)):
+        return False
+    if c.length is not None and not set(map(len, values)) <= {c.length}:
+        return False
+    while tuple in kinds:
+        if kinds != {tuple}:
+            return False
+        values = list(itertools.chain.from_iterable(values))
+        kinds = set(map(type, values))
+    if not kinds & {int, float}:
+        return kinds <= {str, bool, datetime}
+    return (
+        kinds <= {int, float}
+        and all(map(math.isfinite, values))
+        and (c.minimum is None or min(values) >= c.minimum)
+        and (c.maximum is None or max(values) <= c.maximum)
+    )
 
 
 _SCALARS: dict[Any, pa.DataType] = {
@@ -280,22 +326,23 @@ def _arrow_type(hint: Any) -> tuple[pa.DataType, bool]:
 def _type_rule(value: Any, c: Column) -> str | None:
     if value is None:
         return None
-    expected: tuple[type, ...]
-    if pa.types.is_list(c.type):
-        expected = (tuple,)
-    elif pa.types.is_string(c.type):
-        expected = (str,)
-    elif pa.types.is_boolean(c.type):
-        expected = (bool,)
-    elif pa.types.is_integer(c.type):
-        expected = (int,)
-    elif pa.types.is_floating(c.type):
-        expected = (float, int)
-    else:
-        expected = (datetime,)
+    expected = _expected(c)
     if not isinstance(value, expected) or (isinstance(value, bool) and expected != (bool,)):
         return f"must be {expected[0].__name__}, got {type(value).__name__} {value!r:.80}"
     return None
+
+
+def _expected(c: Column) -> tuple[type, ...]:
+    """Types of a column's values, that of messages first."""
+    if pa.types.is_list(c.type):
+        return (tuple,)
+    if pa.types.is_string(c.type):
+        return (str,)
+    if pa.types.is_boolean(c.type):
+        return (bool,)
+    if pa.types.is_integer(c.type):
+        return (int,)
+    return (float, int) if pa.types.is_floating(c.type) else (datetime,)
 
 
 def _numbers(value: Any) -> Iterator[float]:
@@ -306,10 +353,6 @@ def _numbers(value: Any) -> Iterator[float]:
     elif isinstance(value, tuple):
         for item in value:
             yield from _numbers(item)
-
-
-def _plain(value: Any) -> Any:
-    return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
 def _frozen(value: Any) -> Any:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.capture.reading import Group
 from tasks.geometry.meshes import Surface
 from tasks.geometry.triangles import face_areas, face_crosses, spread, surface_area, vertex_normals
 
@@ -30,6 +32,19 @@ class Cloud:
     normals: Array
     areas: Array
     instance: NDArray[np.int64]
+
+
+def cloud_of(surface: Surface, groups: Sequence[Group], is_dense: bool, rng: np.random.Generator) -> Cloud:
+    """A scan with its instances: its vertices where they lie densely enough, else points spread over it. rng: For these."""
+    if is_dense:
+        vertex_instance = np.full(len(surface.vertices), -1, dtype=np.int64)
+        for index, group in enumerate(groups):
+            vertex_instance[group.vertices] = index
+        return dense_cloud(surface, vertex_instance)
+    face_instance = np.full(len(surface.faces), -1, dtype=np.int64)
+    for index, group in enumerate(groups):
+        face_instance[group.faces] = index
+    return sampled_cloud(surface, face_instance, rng)
 
 
 def dense_cloud(surface: Surface, vertex_instance: NDArray[np.int64]) -> Cloud:

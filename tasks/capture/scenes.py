@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from schemas.capture import Frame, Instance, Mask, RoomSurface, Scene, Shell
+from schemas.capture import Frame, Instance, Mask, Room, RoomSurface, Scene, Shell
 from schemas.errors import InputError
-from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
+from tasks.capture.cloud import Cloud, cloud_of
 from tasks.capture.files.images import encode_jpeg
 from tasks.capture.formats import room_of
 from tasks.capture.fusion import FusionConfig, fused_surface
@@ -122,29 +122,23 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     groups, meanings, solids = instances.groups, instances.meanings, instances.solids
     notes += [*_unknown_labels(groups, meanings, scan.path.name), *instances.notes]
     finders = [instances.finders.get(index) or _finder(group, reading, probabilities) for index, group in enumerate(groups)]
-    rows = [
-        instance_row(
-            context.scene_id, f"{index:04d}", group, label, solid, world, blobs, context.rng("points", index), config.max_points,
-            finder.name, finder.probability,
-        )
-        for index, (group, label, solid, finder) in enumerate(zip(groups, meanings, solids, finders, strict=True))
-    ]  # fmt: skip
-    cloud = _cloud(reading, world, groups, context)
-    classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
-    shell, is_seen, leaves = _shell(context, reading, cloud, classes, meanings, solids, notes, is_modelled)
-    if not is_modelled:
-        rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell, leaves)
-    shell, rooms, rows = parted(shell, rows, reading.room_type, is_seen)
-    work = (
+    geometry, rngs = _geometry(reading), [context.rng("points", index) for index in range(len(groups))]
+    work = (  # what takes longest first, so that nobody waits for it at the end
+        partial(
+            _interior, context.scene_id, geometry, world, alignment.pose, groups, meanings, solids, finders, rngs, context.rng("room"),
+            is_modelled, config,
+        ),
         partial(_sights, _shown(instances, context), world, reading.frames, alignment.pose, config),
-        partial(_surfaces, shell, reading.parts, world, alignment.pose, groups, meanings, config),
-        partial(scan_mesh, _geometry(reading), world, alignment, config.max_faces),
-    )
+        partial(scan_mesh, geometry, world, alignment, config.max_faces),
+    )  # fmt: skip
     is_large = reading.parts or len(world.faces) > _MOST_SENT
     spread = in_turn if is_large else context.spread
-    sights, (surfaces, pictures), (mesh, mesh_notes) = spread(_value, work)
-    blobs.update(pictures)
-    rows, masks = _with_views(rows, [*sights, *instances.sights], reading.frames, context.scene_id, blobs, config, instances.finders)
+    interior, sights, (mesh, mesh_notes) = spread(_value, work)
+    notes += interior.notes
+    blobs.update(interior.blobs)
+    rows, masks = _with_views(
+        interior.rows, [*sights, *instances.sights], reading.frames, context.scene_id, blobs, config, instances.finders
+    )
     scene = Scene(
         scene_id=context.scene_id,
         room_id=room_of(scan),
@@ -165,8 +159,8 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     )
     frames = [_frame_row(frame, context.scene_id, alignment) for frame in reading.frames]
     return Outcome(
-        scenes=[scene], shells=[shell], rooms=rooms, surfaces=surfaces, frames=frames, instances=rows, masks=masks,
-        syntheses=[], synthesis_objects=[], blobs=blobs, degradations=[*notes, *mesh_notes],
+        scenes=[scene], shells=[interior.shell], rooms=interior.rooms, surfaces=interior.surfaces, frames=frames, instances=rows,
+        masks=masks, syntheses=[], synthesis_objects=[], blobs=blobs, degradations=[*notes, *mesh_notes],
     )  # fmt: skip
 
 
@@ -236,7 +230,44 @@ def _value(function: Callable[[], Any]) -> Any:
 
 def _geometry(reading: Reading) -> Reading:
     """What a scan's mesh in the lake is made of besides its surface in the world frame."""
-    return dataclasses.replace(reading, surface=None, frames=(), groups=None)
+    return dataclasses.replace(reading, surface=None, frames=(), groups=None, materials=None)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Interior:
+    """Rows of instances without their views, and of the room around them, with the blobs that they name, and what was odd about it."""
+
+    rows: list[Instance]
+    shell: Shell
+    rooms: list[Room]
+    surfaces: list[RoomSurface]
+    blobs: Blobs
+    notes: list[str]
+
+
+def _interior(
+    scene_id: str, geometry: Reading, world: Surface, pose: NDArray[np.float64], groups: Sequence[Group], meanings: Sequence[Label],
+    solids: Sequence[InstancePoints], finders: Sequence[Finder], rngs: Sequence[np.random.Generator], rng: np.random.Generator,
+    is_modelled: bool, config: CaptureConfig,
+) -> _Interior:  # fmt: skip
+    """What stands in the room, and the room. geometry: See `_geometry`. pose: Scan frame to world frame, 4x4 [m]. rngs: One for each
+    instance. rng: For the room."""
+    blobs, notes = Blobs(), list[str]()
+    rows = [
+        instance_row(
+            scene_id, f"{index:04d}", group, label, solid, world, blobs, own, config.max_points, finder.name, finder.probability
+        )
+        for index, (group, label, solid, finder, own) in enumerate(zip(groups, meanings, solids, finders, rngs, strict=True))
+    ]  # fmt: skip
+    cloud = cloud_of(world, groups, geometry.is_dense, rng)
+    classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
+    shell, is_seen, leaves = _shell(scene_id, cloud, classes, meanings, solids, notes, is_modelled)
+    if not is_modelled:
+        rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell, leaves)
+    shell, rooms, rows = parted(shell, rows, geometry.room_type, is_seen)
+    surfaces, pictures = _surfaces(shell, geometry.parts, world, pose, groups, meanings, config)
+    blobs.update(pictures)
+    return _Interior(rows, shell, rooms, surfaces, blobs, notes)
 
 
 def _shown(instances: Instances, context: Context) -> tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]]:
@@ -296,20 +327,8 @@ def _with_views(
     return seen, masks
 
 
-def _cloud(reading: Reading, world: Surface, groups: Sequence[Group], context: Context) -> Cloud:
-    if reading.is_dense:
-        vertex_instance = np.full(len(world.vertices), -1, dtype=np.int64)
-        for index, group in enumerate(groups):
-            vertex_instance[group.vertices] = index
-        return dense_cloud(world, vertex_instance)
-    face_instance = np.full(len(world.faces), -1, dtype=np.int64)
-    for index, group in enumerate(groups):
-        face_instance[group.faces] = index
-    return sampled_cloud(world, face_instance, context.rng("room"))
-
-
 def _shell(
-    context: Context, reading: Reading, cloud: Cloud, classes: NDArray[np.int64], meanings: Sequence[Label],
+    scene_id: str, cloud: Cloud, classes: NDArray[np.int64], meanings: Sequence[Label],
     solids: Sequence[InstancePoints], notes: list[str], is_modelled: bool,
 ) -> tuple[Shell, Seen | None, dict[int, NDArray[np.float64]]]:  # fmt: skip
     """The row of the shell, where floor and walls were seen, and of doors and windows that were seen in part, by number, corners of
@@ -327,7 +346,7 @@ def _shell(
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
     doors = [points for points, door in zip((fillings | leaves).values(), is_door, strict=True) if door]
     over = lintels(cloud, classes == WALL, shape.polygon, shape.interior_walls, doors)
-    return shape.row(context.scene_id, parts, openings, over), shape.is_seen, leaves
+    return shape.row(scene_id, parts, openings, over), shape.is_seen, leaves
 
 
 def _is_let_in(label: Label) -> bool:

@@ -6,6 +6,7 @@ Used by the virtual scanner, by visibility tests and by the report's pictures.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -136,8 +137,7 @@ class RayScene:
             coordinates of the face's corners 1 and 2, shape (..., 2). `primitive_normals`: unit, by the face's winding,
             shape (..., 3); 0 where there is none.
         """
-        flat = np.asarray(rays, dtype=np.float32).reshape(-1, 6)
-        shape, n = rays.shape[:-1], len(flat)
+        shape, n = rays.shape[:-1], math.prod(rays.shape[:-1])
         hits: dict[str, NDArray[Any]] = {
             "t_hit": np.full(n, np.inf, dtype=np.float32),
             "geometry_ids": np.full(n, NOTHING, dtype=np.uint32),
@@ -145,8 +145,8 @@ class RayScene:
             "primitive_uvs": np.zeros((n, 2), dtype=np.float32),
             "primitive_normals": np.zeros((n, 3), dtype=np.float32),
         }
-        if self._scene is not None and n:
-            answer = self._scene.run(np.ascontiguousarray(flat[:, :3]), np.ascontiguousarray(flat[:, 3:]), output=True)
+        answer = self._answer(rays)
+        if answer is not None:
             face = np.asarray(answer["primID"], dtype=np.int64)
             hit = np.flatnonzero(face >= 0)
             face = face[hit]
@@ -159,6 +159,24 @@ class RayScene:
             hits["primitive_uvs"][hit] = np.column_stack([answer["u"][hit], answer["v"][hit]])
             hits["primitive_normals"][hit] = normal / np.where(length > 0, length, 1)
         return {name: values.reshape(*shape, *values.shape[1:]) for name, values in hits.items()}
+
+    def first_faces(self, rays: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        """How far rays get, as `t_hit` of `cast`, and the face of the scene that they meet, counted over all parts, -1 for none, shapes
+        (...): for who asks for nothing else."""
+        answer = self._answer(rays)
+        if answer is None:
+            return np.full(rays.shape[:-1], np.inf, dtype=np.float32), np.full(rays.shape[:-1], -1, dtype=np.int64)
+        face = np.asarray(answer["primID"], dtype=np.int64)
+        far = np.where(face >= 0, answer["tfar"], np.float32(np.inf))
+        return far.reshape(rays.shape[:-1]), face.reshape(rays.shape[:-1])
+
+    def _answer(self, rays: NDArray[np.float32]) -> dict[str, NDArray[Any]] | None:
+        """What Embree says of each ray, shape (n,) or (n, 3); None without faces or rays."""
+        flat = np.asarray(rays, dtype=np.float32).reshape(-1, 6)
+        if self._scene is None or not len(flat):
+            return None
+        answer: dict[str, NDArray[Any]] = self._scene.run(np.ascontiguousarray(flat[:, :3]), np.ascontiguousarray(flat[:, 3:]), output=True)
+        return answer
 
     def render(
         self,

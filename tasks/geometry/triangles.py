@@ -23,8 +23,15 @@ MOST_FACES = 64
 
 def face_crosses(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Cross product of two edges of each face: its normal, twice its area long [m2], shape (m, 3)."""
-    a, b, c = np.asarray(vertices)[np.asarray(faces).T]
+    a, b, c = _corners(vertices, faces)
     return crosses(b - a, c - a)
+
+
+def _corners(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Positions of the first, second and third corner of each face, shapes (m, 3): taken row by row, in a fraction of the time of an
+    index of two axes."""
+    places, corners = np.asarray(vertices), np.asarray(faces)
+    return places.take(corners[:, 0], axis=0), places.take(corners[:, 1], axis=0), places.take(corners[:, 2], axis=0)
 
 
 def crosses(first: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
@@ -51,7 +58,7 @@ def enclosed_volume(vertices: ArrayLike, faces: ArrayLike) -> float:
 
 def signed_volumes(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Six times the volume between each face and the origin [m3], negative where it looks there, shape (m,)."""
-    a, b, c = np.asarray(vertices)[np.asarray(faces).T]
+    a, b, c = _corners(vertices, faces)
     return np.asarray(np.einsum("ij,ij->i", a, crosses(b, c)))
 
 

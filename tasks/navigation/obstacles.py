@@ -79,7 +79,8 @@ def _projected(
         if index not in convex:
             convex[index] = _is_convex(vertices, member)
         if convex[index]:
-            pieces.append(shapely.MultiPoint(_band_points(vertices[member], low, high).reshape(-1, 2)).convex_hull)
+            corners = _band_points(vertices[member], low, high).reshape(-1, 2)
+            pieces.append(shapely.convex_hull(shapely.linestrings(corners)))  # as one line: points are made one by one
         else:
             loose.append(member)
     if loose:

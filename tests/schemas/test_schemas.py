@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from schemas.errors import RecordError
-from schemas.record import Table, arrow_to_rows, check, rows_to_arrow, table_of
+from schemas.record import Table, _type_rule, arrow_to_rows, check, rows_to_arrow, table_of
 from schemas.tables import RECORDS, TABLES
 from tests.conftest import REPOSITORY
 from tests.samples import rows, sample
@@ -101,6 +101,43 @@ def test_a_duplicate_key_and_a_stranger_are_refused(record: type) -> None:
     stranger = sample(RECORDS[0] if record is not RECORDS[0] else RECORDS[1])
     with pytest.raises(RecordError, match=record.__name__):
         rows_to_arrow([stranger], record)
+
+
+def first_rule(rows: list[Any], table: Table) -> str | None:
+    """What is wrong with rows, by one value after another; None where nothing is."""
+    seen: set[tuple[Any, ...]] = set()
+    for index, row in enumerate(rows):
+        key = tuple(getattr(row, name) for name in table.key)
+        for c in table.columns:
+            rule = _type_rule(getattr(row, c.name), c) or c.broken_rule(getattr(row, c.name))
+            if rule:
+                return str(RecordError(table.name, f"{index} {key}", c.name, rule))
+        if key in seen:
+            return str(RecordError(table.name, f"{index} {key}", ", ".join(table.key), "must be unique"))
+        seen.add(key)
+    return None
+
+
+SINGLE = st.none() | st.booleans() | st.integers(-5, 5) | st.floats() | st.text(max_size=3) | st.sampled_from([1, 1.0, ""])
+VALUES = SINGLE | st.lists(SINGLE, max_size=4).map(tuple) | st.lists(st.lists(st.floats(), max_size=3).map(tuple), max_size=3).map(tuple)
+
+
+@pytest.mark.parametrize("table", TABLES.values(), ids=lambda table: table.name)
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None, max_examples=20)
+@given(data=st.data())
+def test_whole_columns_are_checked_as_their_values_are(table: Table, data: st.DataObject) -> None:
+    made = data.draw(rows(table.record, 3))
+    made += made[: data.draw(st.integers(0, 1))]
+    if made and data.draw(st.booleans()):
+        place, column = data.draw(st.integers(0, len(made) - 1)), data.draw(st.sampled_from([c.name for c in table.columns]))
+        other = data.draw(VALUES | st.sampled_from([getattr(row, column) for row in made]))
+        made[place] = dataclasses.replace(made[place], **{column: other})
+    try:
+        check(made, table.record)
+        found = None
+    except RecordError as error:
+        found = str(error)
+    assert found == first_rule(made, table)
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=lambda table: table.name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from tasks.capture.reading import FrameSource
 from tasks.geometry.meshes import Surface
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.windows import view_window
+from tasks.kernels import Kernels, compile_kernels
 
 Array = NDArray[np.float64]
 
@@ -126,24 +128,21 @@ def _search(
     width = min(SEARCH_WIDTH, frame.width)
     height = max(1, round(frame.height * width / frame.width))
     camera = _camera(frame, alignment, (width, height))
-    hits = scene.cast(camera.rays())
-    label = _labels(hits["primitive_ids"], face_instance)
-    inside, seen = _visible(camera, hits["t_hit"], frame, alignment, points)
+    rendered, face = scene.first_faces(camera.rays())
+    label = _labels(face, face_instance)
+    inside, seen = _visible(camera, rendered, frame, alignment, points)
     in_image = np.bincount(owner[inside], minlength=count)
     visible = np.bincount(owner[seen], minlength=count)
     factor = frame.width / width
     views = []
-    present, sizes = np.unique(label[label >= 0], return_counts=True)
-    for instance, size in zip(present.tolist(), sizes.tolist(), strict=True):
+    for instance, (size, touching, top, bottom, left, right) in enumerate(_compiled()["_extents"](label, count).tolist()):
         if size < _MIN_SEARCH_PIXELS or visible[instance] < _MIN_PROBES:
             continue
-        mask = label == instance
         fraction = float(visible[instance] / in_image[instance])
-        score = fraction * np.sqrt(size) * factor * (1 - border_contact(mask))
-        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        score = fraction * np.sqrt(size) * factor * (1 - _contact(touching, size))
         window = (
-            max(0, int((columns[0] - 1) * factor)), max(0, int((rows[0] - 1) * factor)),
-            min(frame.width, int(np.ceil((columns[-1] + 2) * factor))), min(frame.height, int(np.ceil((rows[-1] + 2) * factor))),
+            max(0, int((left - 1) * factor)), max(0, int((top - 1) * factor)),
+            min(frame.width, int(np.ceil((right + 2) * factor))), min(frame.height, int(np.ceil((bottom + 2) * factor))),
         )  # fmt: skip
         if score > 0:
             views.append(_Candidate(score, index, instance, fraction, window))
@@ -153,7 +152,34 @@ def _search(
 def border_contact(mask: NDArray[np.bool_]) -> float:
     """Share of a mask's outline that lies on the image's border, its outline taken as that of a square of its area; 0 to 1."""
     touching = int(mask[0].sum() + mask[-1].sum() + mask[1:-1, 0].sum() + mask[1:-1, -1].sum())
-    return min(1.0, touching / (4 * np.sqrt(max(int(mask.sum()), 1))))
+    return _contact(touching, int(mask.sum()))
+
+
+def _contact(touching: int, size: int) -> float:
+    """`border_contact` of a mask of so many pixels, and so many at the border."""
+    return min(1.0, touching / (4 * np.sqrt(max(size, 1))))
+
+
+@cache
+def _compiled() -> Kernels:
+    return compile_kernels(_extents)
+
+
+def _extents(label: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Of each of `count` instances in an image of their numbers, shape (h, w), -1 for none: how many pixels it has, how many of them lie at
+    the border, its first and last row, its first and last column; shape (count, 6)."""
+    h, w = label.shape
+    extents = np.zeros((count, 6), dtype=np.int64)
+    extents[:, 2], extents[:, 4] = h, w
+    for y in range(h):
+        for x in range(w):
+            if label[y, x] >= 0:
+                own = extents[label[y, x]]
+                own[0] += 1
+                own[1] += y == 0 or y == h - 1 or x == 0 or x == w - 1
+                own[2], own[3] = min(own[2], y), max(own[3], y)
+                own[4], own[5] = min(own[4], x), max(own[5], x)
+    return extents
 
 
 def _visible(
@@ -190,7 +216,7 @@ def _masks(
     for candidate in candidates:
         x0, y0, x1, y1 = candidate.window
         part = dataclasses.replace(camera, cx=camera.cx - x0, cy=camera.cy - y0, width=x1 - x0, height=y1 - y0)
-        mask = _labels(scene.cast(part.rays())["primitive_ids"], face_instance) == candidate.instance
+        mask = _labels(scene.first_faces(part.rays())[1], face_instance) == candidate.instance
         if not mask.any():
             continue
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -207,11 +233,9 @@ def _masks(
     return sights
 
 
-def _labels(primitives: NDArray[np.uint32], face_instance: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Instance at each ray's hit, -1 where there is none."""
-    face = primitives.astype(np.int64)
-    hit = face < len(face_instance)
-    return np.where(hit, face_instance[np.where(hit, face, 0)], -1)
+def _labels(face: NDArray[np.int64], face_instance: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Instance at each ray's hit, -1 where there is none. face: -1 for none."""
+    return np.where(face >= 0, face_instance[face], -1)
 
 
 def view_of(image: NDArray[np.uint8], pixel_box: tuple[int, int, int, int]) -> NDArray[np.uint8]:

@@ -20,7 +20,7 @@ from tasks.capture.small_objects.learned import LearnedConfig, check, networks_o
 from tasks.capture.small_objects.lifting import DepthView, at_color, depth_view, visible_points
 from tasks.capture.small_objects.naming import UNKNOWN, NamingConfig, name_by_size
 from tasks.capture.small_objects.support_views import CarryingInstance
-from tasks.capture.small_objects.supports import SupportSlab, support_slabs
+from tasks.capture.small_objects.supports import SupportSlab, support_kind, support_slabs
 from tasks.geometry.meshes import Surface
 from tasks.mounting import mounting
 from tasks.settings import Config, Count, Positive, union_of
@@ -113,7 +113,9 @@ def with_small_objects(
     supports = [
         CarryingInstance(f"{number:04d}", label.category, slabs, solid.points)
         for number, (label, solid) in enumerate(zip(meanings, solids, strict=True))
-        if not label.is_structure and (slabs := support_slabs(label.category, *box_of(solid, world, label.category), solid.points))
+        if not label.is_structure
+        and support_kind(label.category) is not None  # most carry nothing, and a box costs milliseconds
+        and (slabs := support_slabs(label.category, *box_of(solid, world, label.category), solid.points))
     ]
     if not supports:
         return plain
@@ -124,9 +126,10 @@ def with_small_objects(
         why = "no frame has a pose and depth" if not chosen else "no frame can be read"
         return dataclasses.replace(plain, notes=(*problems, f"small objects were not looked for: {why}"))
     objects: list[FoundObject] = []
+    tried = {name: _tried(view) for name, view in views.items()}
     if isinstance(config.provider, LearnedConfig):
         for done, support in enumerate(supports):
-            best = _best_views(support, views, config.views)
+            best = _best_views(support, tried, config.views)
             shown = [frames[posed[name]] for name in best]
             seen = objects_on(support, shown, alignment, networks_of(config.provider), context, config.provider)
             objects += seen.objects
@@ -134,7 +137,7 @@ def with_small_objects(
             context.report(done + 1, len(supports), support.instance_id)
     else:
         work = [
-            _Looking(support, [views[name] for name in _best_views(support, views, config.views)], config.provider, config.naming)
+            _Looking(support, [views[name] for name in _best_views(support, tried, config.views)], config.provider, config.naming)
             for support in supports
         ]
         objects += [each for part in context.spread(_classical_objects, work) for each in part]
@@ -176,9 +179,9 @@ def _seen(frames: Sequence[FrameSource], chosen: Sequence[int], alignment: Array
     return posed, views, problems
 
 
-def _best_views(support: CarryingInstance, views: Mapping[str, DepthView], most: int) -> list[str]:
-    """Ids of the frames that show most of a support's boards and what is above them, in their order."""
-    shown = {name: _shown(view, support.slabs) for name, view in views.items()}
+def _best_views(support: CarryingInstance, tried: Mapping[str, Array], most: int) -> list[str]:
+    """Ids of the frames that show most of a support's boards and what is above them, in their order. tried: See `_tried`."""
+    shown = {name: _shown(points, support.slabs) for name, points in tried.items()}
     best = sorted((name for name in shown if shown[name] >= _LEAST_SHOWN), key=lambda name: (-shown[name], name))
     return sorted(best[:most])
 
@@ -204,11 +207,15 @@ def _classical_objects(work: _Looking) -> list[FoundObject]:
     ]
 
 
-def _shown(view: DepthView, slabs: Sequence[SupportSlab]) -> int:
-    """How many of some pixels of a frame lie on boards or above them."""
+def _tried(view: DepthView) -> Array:
+    """Points of some pixels of a frame, world frame [m], shape (n, 3)."""
     depth = view.depth[::_STEP_PX, ::_STEP_PX]
     fx, fy, cx, cy = (value / _STEP_PX for value in view.intrinsics)
-    points = dataclasses.replace(view, depth=depth, intrinsics=(fx, fy, cx, cy)).points()[depth > 0]
+    return dataclasses.replace(view, depth=depth, intrinsics=(fx, fy, cx, cy)).points()[depth > 0]
+
+
+def _shown(points: Array, slabs: Sequence[SupportSlab]) -> int:
+    """How many points of a frame lie on boards or above them."""
     return int(np.any([slab.holds(points) for slab in slabs], axis=0).sum())
 
 

@@ -15,6 +15,7 @@ from tasks.capture.small_objects.consensus import ConsensusConfig, ConsensusInst
 from tasks.capture.small_objects.lifting import DepthView, FrameMasks, LiftedFrame, LiftingConfig, depth_noise, lifted
 from tasks.capture.small_objects.patches import BoardPixels, PatchConfig, hull_overlap, objects_of, other_color, tints_of
 from tasks.capture.small_objects.supports import BELOW_M, SupportSlab
+from tasks.capture.small_objects.surfaces import median_heights
 from tasks.settings import Config, Count, NonNegative, Positive, Share
 
 Array = NDArray[np.float64]
@@ -193,9 +194,10 @@ def _in_window(view: DepthView, world: Array, inside: Bools, eye: Array, slab: S
     plane = np.zeros(3) if plane is None else plane
     height = local[..., 2] - local[..., :2] @ plane[:2] - plane[2]
     limit = np.maximum(least, config.height_sigmas * noise)
-    smooth = _median_height(height, inside)
+    smooth = median_heights(height, inside)
     stands = inside & ((smooth > limit) | (height > config.thin_limits * limit))
-    toward = (eye - local) / np.maximum(np.linalg.norm(eye - local, axis=-1), 1e-9)[..., None]
+    toward = eye - local
+    toward /= np.maximum(np.linalg.norm(toward, axis=-1), 1e-9)[..., None]
     pixel = view.depth.astype(np.float64) / view.intrinsics[0]
     is_board = _open_parts(inside & ~stands & (np.maximum(np.abs(smooth), np.abs(height)) <= np.maximum(2 * limit, 0.01)), config)
     points = np.concatenate([local[..., :2], height[..., None]], axis=-1)
@@ -295,15 +297,3 @@ def board_plane(local: Array, noise: Array, config: ClassicalConfig) -> Array | 
         weight = 1 / np.maximum(noise[near], 1e-4)
         plane = np.linalg.lstsq(design[near] * weight[:, None], local[near, 2] * weight, rcond=None)[0]
     return plane if np.abs(plane[:2]).max() <= config.tilt else level
-
-
-def _median_height(height: Array, inside: Bools) -> Array:
-    """Heights over the board, the median of 3 x 3 pixels, those of the slab alone; shape (h, w)."""
-    padded = np.pad(np.where(inside, height, np.nan), 1, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).reshape(*height.shape, 9)
-    near = np.sort(windows[inside], axis=-1)  # what is no number comes last
-    count = (~np.isnan(near)).sum(axis=-1)[:, None]
-    low, high = (np.take_along_axis(near, place, axis=-1)[:, 0] for place in ((count - 1) // 2, count // 2))
-    result = np.zeros(height.shape)
-    result[inside] = (low + high) / 2
-    return result

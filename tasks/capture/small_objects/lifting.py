@@ -64,10 +64,15 @@ class DepthView:
     def points(self) -> Array:
         """Every pixel's point in the world frame [m], shape (h, w, 3); the camera's own where there is no depth."""
         fx, fy, cx, cy = self.intrinsics
-        rows, columns = np.indices(self.depth.shape)
-        depth = self.depth.astype(np.float64)
-        local = np.stack([(columns - cx) / fx * depth, (rows - cy) / fy * depth, depth], axis=-1)
-        return np.asarray(local @ self.pose[:3, :3].T + self.pose[:3, 3])
+        height, width = self.depth.shape
+        local = np.empty((height, width, 3))
+        depth = local[..., 2]
+        depth[:] = self.depth
+        np.multiply((np.arange(width) - cx) / fx, depth, out=local[..., 0])
+        np.multiply(((np.arange(height) - cy) / fy)[:, None], depth, out=local[..., 1])
+        points = local @ self.pose[:3, :3].T
+        points += self.pose[:3, 3]
+        return np.asarray(points)
 
     def thinned(self, every: int) -> DepthView:
         """The frame with every so manieth pixel along each axis; pixel centers stay integers."""
@@ -290,9 +295,12 @@ def lift(view: DepthView, seen: FrameMasks, config: LiftingConfig, allowed: Bool
 
 def _owner(masks: Bools, sound: Bools) -> NDArray[np.int32]:
     """Mask of each pixel, -1 for none; what lies in two masks is a boundary, and nobody's."""
-    count = masks.sum(axis=0)
-    single = np.argmax(masks, axis=0) if len(masks) else np.zeros(sound.shape)
-    return np.where((count == 1) & sound, single, -1).astype(np.int32)
+    count, owner = np.zeros(sound.shape, dtype=np.int32), np.full(sound.shape, -1, dtype=np.int32)
+    for number, mask in enumerate(masks):  # one after another: a reduction over the first axis costs several times that
+        count += mask
+        owner[mask] = number
+    owner[(count != 1) | ~sound] = -1
+    return owner
 
 
 def visible_points(view: DepthView, points: Array, tolerance: Array) -> tuple[Bools, Indices, Indices]:

@@ -11,6 +11,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.capture.small_objects import surfaces
 from tasks.settings import Config, Count, Positive, Share
 
 Array = NDArray[np.float64]
@@ -69,10 +70,9 @@ class _Border:
 
 def objects_of(pixels: BoardPixels, config: PatchConfig) -> Indices:
     """Object of each pixel, shape (h, w), -1 for none."""
-    steps = [_steps(pixels, axis, config) for axis in (0, 1)]
-    smooth = _smoothed(pixels, steps)
-    normal, is_sure = _normals(smooth, pixels.toward, pixels.stands, steps)
-    hollow = _hollows(smooth, normal, is_sure, config.reach_px, config.crease)
+    steps = surfaces.steps(pixels.points, pixels.stands | pixels.is_board, pixels.pixel_m, config.gap_m, config.gap_pixels)
+    smooth = surfaces.smoothed(surfaces.smoothed(pixels.points, *steps), *steps)
+    hollow = surfaces.hollows(smooth, pixels.toward, pixels.stands, *steps, config.reach_px, config.crease)
     tint = _tints(pixels)
     patch = _patches(pixels.stands, hollow, tint, steps, config)
     count = int(patch.max(initial=-1)) + 1
@@ -82,65 +82,10 @@ def objects_of(pixels: BoardPixels, config: PatchConfig) -> Indices:
     return _sizable(np.where(patch >= 0, group[patch], -1), config.object_pixels)
 
 
-def _pair(axis: int, reach: int = 1) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Slices of an image that give pixels and their neighbors `reach` further along an axis."""
-    near, far, full = slice(None, -reach), slice(reach, None), slice(None)
+def _pair(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Slices of an image that give pixels and their neighbors along an axis."""
+    near, far, full = slice(None, -1), slice(1, None), slice(None)
     return ((near, full), (far, full)) if axis == 0 else ((full, near), (full, far))
-
-
-def _steps(pixels: BoardPixels, axis: int, config: PatchConfig) -> Bools:
-    """Pairs of neighbors along an axis that lie on one surface, by their distance."""
-    here, there = _pair(axis)
-    distance = np.linalg.norm(pixels.points[here] - pixels.points[there], axis=-1)
-    valid = (pixels.stands | pixels.is_board)[here] & (pixels.stands | pixels.is_board)[there]
-    return np.asarray(valid & (distance <= np.maximum(config.gap_m, config.gap_pixels * pixels.pixel_m[here])))
-
-
-def _smoothed(pixels: BoardPixels, steps: list[Bools]) -> Array:
-    """Points averaged with those neighbors, up to 4, that lie on the same surface; twice."""
-    points = pixels.points
-    for _ in range(2):
-        total, weight = points.copy(), np.ones(points.shape[:2])
-        for axis, step in enumerate(steps):
-            here, there = _pair(axis)
-            total[here] += np.where(step[..., None], points[there], 0)
-            total[there] += np.where(step[..., None], points[here], 0)
-            weight[here] += step
-            weight[there] += step
-        points = total / weight[..., None]
-    return np.asarray(points)
-
-
-def _normals(points: Array, toward: Array, stands: Bools, steps: list[Bools]) -> tuple[Array, Bools]:
-    """Unit normals towards the camera, shape (h, w, 3), and where all neighbors that make them lie on one surface."""
-    tangents, sure = [], stands.copy()
-    for axis, step in enumerate(steps):
-        here, there = _pair(axis, 2)
-        tangent = np.zeros_like(points)
-        middle = (slice(1, -1), slice(None)) if axis == 0 else (slice(None), slice(1, -1))
-        tangent[middle] = points[there] - points[here]
-        low, high = _pair(axis)
-        both = np.zeros(stands.shape, dtype=bool)
-        both[middle] = step[low] & step[high]
-        sure &= both
-        tangents.append(tangent)
-    normal = np.cross(tangents[0], tangents[1])
-    length = np.linalg.norm(normal, axis=-1)
-    normal /= np.maximum(length, 1e-12)[..., None]
-    normal *= np.where((normal * toward).sum(axis=-1) < 0, -1.0, 1.0)[..., None]
-    return normal, sure & (length > 0)
-
-
-def _hollows(points: Array, normal: Array, is_sure: Bools, reach: int, crease: float) -> Bools:
-    """Pixels where the surface bends away from the eye: normals on both sides lean towards each other, shape (h, w)."""
-    hollow = np.zeros(is_sure.shape, dtype=bool)
-    for axis in (0, 1):
-        here, there = _pair(axis, 2 * reach)
-        along = points[there] - points[here]
-        bend = ((normal[there] - normal[here]) * along).sum(axis=-1) / np.maximum(np.linalg.norm(along, axis=-1), 1e-9)
-        middle = (slice(reach, -reach), slice(None)) if axis == 0 else (slice(None), slice(reach, -reach))
-        hollow[middle] |= is_sure[here] & is_sure[there] & (bend < -crease)
-    return hollow
 
 
 def _tints(pixels: BoardPixels) -> Array:
@@ -165,25 +110,10 @@ def other_color(first: Array, second: Array, config: PatchConfig, slack: float =
     return np.asarray((step[..., 0] > slack * config.luma) | (np.maximum(step[..., 1], step[..., 2]) > slack * config.chroma))
 
 
-def _patches(stands: Bools, hollow: Bools, tint: Array, steps: list[Bools], config: PatchConfig) -> Indices:
+def _patches(stands: Bools, hollow: Bools, tint: Array, steps: tuple[Bools, Bools], config: PatchConfig) -> Indices:
     """Patch of each pixel that stands, shape (h, w), -1 for others: of one surface, one color, no hollow within."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    index = np.arange(stands.size).reshape(stands.shape)
-    smooth = stands & ~hollow
-    firsts, seconds = [], []
-    for axis, step in enumerate(steps):
-        here, there = _pair(axis)
-        joined = step & smooth[here] & smooth[there] & ~other_color(tint[here], tint[there], config, 0.5)
-        firsts.append(index[here][joined])
-        seconds.append(index[there][joined])
-    first, second = np.concatenate(firsts), np.concatenate(seconds)
-    _, component = connected_components(
-        coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(stands.size, stands.size)), directed=False
-    )
-    patch = _sizable(np.where(smooth, component.reshape(stands.shape), -1), config.least_pixels)
-    return _grown(patch, stands, steps)
+    component = surfaces.connected(stands & ~hollow, tint, *steps, 0.5 * config.luma, 0.5 * config.chroma)
+    return surfaces.grown(_sizable(component, config.least_pixels), stands, *steps)
 
 
 def _sizable(label: Indices, least: int) -> Indices:
@@ -193,21 +123,7 @@ def _sizable(label: Indices, least: int) -> Indices:
     return np.asarray(np.where(kept, np.cumsum(kept) - 1, -1)[label + 1], dtype=np.int64)
 
 
-def _grown(patch: Indices, stands: Bools, steps: list[Bools]) -> Indices:
-    """Patches grown over the pixels between them, along surfaces, each pixel to the patch that reaches it first."""
-    patch = patch.copy()
-    while True:
-        before = patch.copy()
-        for axis, step in enumerate(steps):
-            here, there = _pair(axis)
-            for target, source in ((here, there), (there, here)):
-                open_ = step & stands[target] & (patch[target] < 0) & (before[source] >= 0)
-                patch[target] = np.where(open_, before[source], patch[target])
-        if (patch == before).all():
-            return patch
-
-
-def _borders(patch: Indices, hollow: Bools, steps: list[Bools], config: PatchConfig) -> _Border:
+def _borders(patch: Indices, hollow: Bools, steps: tuple[Bools, Bools], config: PatchConfig) -> _Border:
     """Where patches touch."""
     from scipy.ndimage import binary_dilation
 
@@ -233,7 +149,7 @@ def _pairs(first: Indices, second: Indices) -> tuple[Indices, Indices]:
     return np.stack(np.divmod(keys, base), axis=1), inverse
 
 
-def _grounded(pixels: BoardPixels, patch: Indices, count: int, steps: list[Bools], config: PatchConfig) -> Bools:
+def _grounded(pixels: BoardPixels, patch: Indices, count: int, steps: tuple[Bools, Bools], config: PatchConfig) -> Bools:
     """Patches that meet the board, shape (count,)."""
     contact = np.zeros(count)
     for axis, step in enumerate(steps):
@@ -245,7 +161,7 @@ def _grounded(pixels: BoardPixels, patch: Indices, count: int, steps: list[Bools
 
 
 def _grouped(
-    pixels: BoardPixels, patch: Indices, count: int, hollow: Bools, tint: Array, steps: list[Bools], config: PatchConfig
+    pixels: BoardPixels, patch: Indices, count: int, hollow: Bools, tint: Array, steps: tuple[Bools, Bools], config: PatchConfig
 ) -> Indices:
     """Object of each patch, shape (count,)."""
     border = _borders(patch, hollow, steps, config)

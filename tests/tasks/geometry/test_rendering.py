@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tasks.furniture import generate
 from tasks.geometry.meshes import surface_of
-from tasks.geometry.rendering import WHOLE, Camera, RayScene
+from tasks.geometry.rendering import NOTHING, WHOLE, Camera, RayScene
 from tasks.geometry.transforms import look_at
 
 COMPARED = ("depth", "part", "color", "normal")
@@ -62,3 +63,20 @@ def test_colors_are_blended_by_where_a_face_is_hit(seed: int) -> None:
     assert np.abs(color[seen] - expected).max() <= 0.5 + 1e-3
     assert (color[~seen] == [1, 2, 3]).all()
     assert 0.1 < seen.mean() < 0.9
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 3))
+def test_first_faces_are_those_of_hits(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    poses = [trimesh.transformations.translation_matrix([i, 0, 0]) for i in range(count)]
+    parts = [trimesh.creation.box(rng.uniform(0.2, 1, 3), pose) for pose in poses]
+    scene = RayScene(parts)
+    rays = np.concatenate([rng.normal(0, 3, (5, 4, 3)), rng.normal(size=(5, 4, 3))], axis=-1).astype(np.float32)
+    hits, (far, face) = scene.cast(rays), scene.first_faces(rays)
+    starts = np.cumsum([0, *(len(part.faces) for part in parts)])
+    is_hit = hits["primitive_ids"] != NOTHING
+    part = np.where(is_hit, hits["geometry_ids"], 0).astype(np.int64)
+    assert np.array_equal(face, np.where(is_hit, hits["primitive_ids"].astype(np.int64) + starts[part], -1))
+    assert np.array_equal(far, hits["t_hit"])
+    assert far.dtype == np.float32
