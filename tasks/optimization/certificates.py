@@ -120,10 +120,10 @@ def certify(
     order = sorted(range(len(bodies)), key=lambda i: names[i])  # engines depend on it, certificates shall not
     rank = np.argsort(order)
     ordered = [bodies[i] for i in order], poses[order], shell, config.seconds
-    simulations = [mujoco_engine.simulate(*ordered, config.mujoco, config.nudge_m_s, nudged_sleep=config.nudge_sleep_m_s, spread=spread)]
-    if config.mujoco_defaults:
-        defaults = dataclasses.replace(config.mujoco, cone="pyramidal", impratio=1.0, integrator="Euler")  # what is not set otherwise
-        simulations.append(mujoco_engine.simulate(*ordered, defaults, config.nudge_m_s, "mujoco_defaults", config.nudge_sleep_m_s, spread))
+    engines = {"mujoco": config.mujoco}
+    if config.mujoco_defaults:  # what is not set otherwise
+        engines["mujoco_defaults"] = dataclasses.replace(config.mujoco, cone="pyramidal", impratio=1.0, integrator="Euler")
+    simulations = mujoco_engine.simulate_all(*ordered, engines, config.nudge_m_s, config.nudge_sleep_m_s, spread)
     if config.newton.python:
         simulations.append(newton_engine.simulate(*ordered, config.newton))
     certified = []
