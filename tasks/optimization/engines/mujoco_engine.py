@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property, lru_cache
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -88,14 +88,15 @@ def simulate(
 
 def simulate_all(
     bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], seconds: float, engines: Mapping[str, Mujoco],
-    nudge: float = 0.0, nudged_sleep: float = 0.0, spread: Spread = in_turn,
+    nudge: float = 0.0, nudged_sleep: float = 0.0, spread: Spread = in_turn, asleep: Collection[int] = (),
 ) -> list[Simulation]:  # fmt: skip
     """Objects left alone under gravity at `poses` [m], shape (n, 4, 4), in the order given; then again from there, with every free object
     at a speed of `nudge` [m/s] in each direction of `NUDGES`, unless that is 0; by MuJoCo as each of `engines` sets it, by name; one run
     after another, or as `spread` does them.
 
     nudged_sleep: after a nudge objects sleep below this speed [m/s] if it is above `Mujoco.sleep_m_s`; where nothing ever sleeps, it
-    does nothing.
+    does nothing. asleep: Bodies, by number, that sleep from the start, and get no speed, until something touches them; of these, all or
+    none that touch one another.
     An object that MuJoCo refuses, or whose state diverges, has a problem: it is left out and stays where it is.
     """
     refused = tuple(unfit(body) for body in bodies)
@@ -110,7 +111,7 @@ def simulate_all(
             settings = engines[name]
             key = (problems[name], dataclasses.replace(settings, **_ANY_SOLVER))
             if key not in scenes:
-                scenes[key] = _scene(bodies, poses, shell, problems[name], settings)
+                scenes[key] = _scene(bodies, poses, shell, problems[name], settings, asleep)
             begun[name] = scene = scenes[key]
             steps = round(seconds / settings.timestep_s) if scene.free else 0
             sleeps = [settings.sleep_m_s, *[max(settings.sleep_m_s, nudged_sleep)] * (len(speeds) - 1)]
@@ -142,11 +143,15 @@ class _Scene:
 
 
 def _scene(
-    bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], problems: Sequence[str | None], settings: Mujoco
-) -> _Scene:
+    bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], problems: Sequence[str | None], settings: Mujoco,
+    asleep: Collection[int],
+) -> _Scene:  # fmt: skip
     """The scene without the bodies that have problems, or that MuJoCo refuses."""
     mujoco, found = mujoco_module(), list(problems)
     model = _model(bodies, poses, shell, found, settings)
+    for i in asleep:
+        if not bodies[i].is_fixed and found[i] is None:
+            model.tree_sleep_policy[model.body_treeid[model.body(f"b{i}").id]] = mujoco.mjtSleepPolicy.mjSLEEP_INIT
     data = mujoco.MjData(model)
     mujoco.mj_fwdPosition(model, data)
     free = [i for i, body in enumerate(bodies) if not body.is_fixed and found[i] is None]
@@ -200,7 +205,7 @@ def _pushed(push: _Push) -> _Pushed:
     _set_solver(model.opt, push.settings)
     model.opt.sleep_tolerance = push.sleep
     data = mujoco_module().MjData(model)
-    data.qvel.reshape(-1, 6)[:, :2] = push.speed
+    data.qvel.reshape(-1, 6)[data.tree_awake > 0, :2] = push.speed
     failed, problem = _run(model, data, push.steps, push.settings)
     return _Pushed(np.array(data.qpos).reshape(-1, 7), failed, problem)
 

@@ -150,6 +150,23 @@ def test_what_was_put_to_sleep_is_woken_by_what_hits_it() -> None:
     assert hit["0001"] is False
 
 
+def test_what_sleeps_from_the_start_stands_as_it_is_until_it_is_hit() -> None:
+    """A block falls onto a cup that sleeps, and another cup sleeps through; where nothing ever sleeps, both are certified as ever."""
+    cup, other, dropped = body("0000", (0.06, 0.06, 0.1), 0.05), body("0001", (0.06, 0.06, 0.1), 0.05), body("0002", (0.1, 0.1, 0.1), 5.0)
+    bodies, poses = [cup, other, dropped], np.array([np.eye(4), translation([1.0, 0.0, 0.0]), translation([0.04, 0.0, 0.5])])
+    rows = certify(bodies, poses, (), FAST, asleep=(0, 1))
+    for row in rows:
+        if row.name == "0001":
+            assert (row.displacement_m, row.tilt_radians, row.nudged_displacement_m) == (0.0, 0.0, 0.0)
+        else:
+            assert row.displacement_m
+            assert row.nudged_displacement_m
+    never = dataclasses.replace(FAST, mujoco=Mujoco(sleep_m_s=0.0))
+    for one, same in zip(certify(bodies, poses, (), never, asleep=(0, 1)), certify(bodies, poses, (), never), strict=True):
+        np.testing.assert_array_equal(one.settled_pose, same.settled_pose)
+        assert one.nudged_displacement_m == same.nudged_displacement_m
+
+
 def test_both_settings_of_one_scene_say_what_each_says_alone() -> None:
     """A scene is compiled once for both, and may lose a body by one of them."""
     placed = [(body(f"{i:02d}", (0.01 + 0.02 * i, 0.3, 0.5), 1.0), translation([i, 0.0, 0.0])) for i in range(3)]
