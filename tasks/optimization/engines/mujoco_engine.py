@@ -124,10 +124,8 @@ def simulate_all(
                 failed = {scene.free[row] for row in failure.failed}
                 problems[name] = tuple(failure.problem if i in failed else problem for i, problem in enumerate(scene.problems))
                 continue
-            ends = [_settled(poses, scene.free, run.places) for run in runs]
-            nudged = np.array(ends[1:]).reshape(len(ends) - 1, len(bodies), 4, 4)
-            version = mujoco_module().__version__
-            made[name] = Simulation(name, version, seconds, ends[0], scene.depth, scene.problems, nudged)
+            ends = np.array([_settled(poses, scene.free, run.places) for run in runs]).reshape(len(runs), len(bodies), 4, 4)
+            made[name] = Simulation(name, mujoco_module().__version__, seconds, ends[0], scene.depth, scene.problems, ends[1:])
     return [made[name] for name in engines]
 
 
@@ -147,15 +145,15 @@ def _scene(
     asleep: Collection[int],
 ) -> _Scene:  # fmt: skip
     """The scene without the bodies that have problems, or that MuJoCo refuses."""
-    mujoco, found = mujoco_module(), list(problems)
-    model = _model(bodies, poses, shell, found, settings)
+    mujoco, reasons = mujoco_module(), list(problems)
+    model = _model(bodies, poses, shell, reasons, settings)
     for i in asleep:
-        if not bodies[i].is_fixed and found[i] is None:
+        if not bodies[i].is_fixed and reasons[i] is None:
             model.tree_sleep_policy[model.body_treeid[model.body(f"b{i}").id]] = mujoco.mjtSleepPolicy.mjSLEEP_INIT
     data = mujoco.MjData(model)
     mujoco.mj_fwdPosition(model, data)
-    free = [i for i, body in enumerate(bodies) if not body.is_fixed and found[i] is None]
-    return _Scene(_Compiled(model), tuple(found), free, _start_penetration(model, data, len(bodies)))
+    free = [i for i, body in enumerate(bodies) if not body.is_fixed and reasons[i] is None]
+    return _Scene(_Compiled(model), tuple(reasons), free, _start_penetration(model, data, len(bodies)))
 
 
 class _Compiled:
@@ -363,7 +361,7 @@ def _start_penetration(model: Any, data: Any, count: int) -> Array:
     collide, are measured one by one."""
     mujoco = mujoco_module()
     depth = np.zeros(count)
-    names = [model.body(number).name for number in range(model.nbody)]
+    names = (model.body(number).name for number in range(model.nbody))
     owner = np.array([int(name[1:]) if name.startswith("b") else -1 for name in names])[model.geom_bodyid]
 
     def deepen(geoms: NDArray[Any], distance: float | Array) -> None:
@@ -373,16 +371,15 @@ def _start_penetration(model: Any, data: Any, count: int) -> Array:
 
     deepen(data.contact.geom, data.contact.dist)
     static = np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0)
-    low, high = _world_boxes(model, data)
-    fixed = static[owner[static] >= 0]
+    fixed, (low, high) = static[owner[static] >= 0], _world_boxes(model, data)
     for a in fixed[low[fixed, 2] < CLOSE_M].tolist():
         deepen(np.array([a, 0]), min(float((_world_vertices(model, data, a)[:, 2]).min()), 0.0))
     met = np.ones((len(fixed), len(static)), dtype=np.bool_)
     for k in range(3):
         met &= (low[None, static, k] <= high[fixed, None, k] + CLOSE_M) & (high[None, static, k] >= low[fixed, None, k] - CLOSE_M)
     met &= (static != 0) & (owner[static] != owner[fixed, None]) & ((owner[static] < 0) | (static > fixed[:, None]))
-    for row, column in np.argwhere(met).tolist():
-        a, b = int(fixed[row]), int(static[column])
+    rows, columns = np.nonzero(met)
+    for a, b in zip(fixed[rows].tolist(), static[columns].tolist(), strict=True):
         deepen(np.array([a, b]), min(float(mujoco.mj_geomDistance(model, data, a, b, 0.0, None)), 0.0))
     return depth
 
