@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -153,6 +154,8 @@ def test_only_what_a_fall_concerns_is_certified_anew() -> None:
         assert (row.name, row.engine) == (whole.name, whole.engine)
         assert (row.is_stable_1cm, row.is_stable_5cm, row.is_stable_nudged) == (True, True, True)
         assert (whole.is_stable_1cm, whole.is_stable_5cm, whole.is_stable_nudged) == (True, True, True)
+        assert row.settled_pose is not None
+        assert whole.settled_pose is not None
         np.testing.assert_allclose(row.settled_pose, whole.settled_pose, atol=1e-3)
 
 
@@ -163,7 +166,7 @@ def test_what_is_hit_is_certified_with_its_neighbors(monkeypatch: pytest.MonkeyP
     )  # fmt: skip
     asked: list[list[int]] = []
 
-    def certify_so(*given: object) -> list[Certified]:
+    def certify_so(*given: Any) -> list[Certified]:
         """Something that sleeps beside another is hit at first."""
         asleep = given[5]
         asked.append(asleep)
