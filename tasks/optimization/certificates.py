@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Self
 
 import numpy as np
@@ -97,7 +97,8 @@ class Certified:
 
 
 def certify(
-    bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], config: CertificateConfig, spread: Spread = in_turn
+    bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], config: CertificateConfig, spread: Spread = in_turn,
+    asleep: Collection[int] = (),
 ) -> list[Certified]:  # fmt: skip
     """Certificates of objects at `poses`, asset to world [m], shape (n, 4, 4), in the order given; MuJoCo's first, then
     those of its defaults and Newton's when these are asked.
@@ -105,7 +106,7 @@ def certify(
     They are left alone for `config.seconds` under gravity on the floor z = 0, among the walls `shell`; by MuJoCo again from
     the same poses with a nudge in each of four directions. Fixed objects do not move. The order of the bodies does not
     matter. An object that an engine refuses has a problem, no settled pose, is not stable, and is left out: what it carries
-    falls.
+    falls. asleep: Bodies, by number, that MuJoCo lets stand as they are until something touches them.
 
     Raises:
         InputError: a pose is not rigid, two bodies have one name, a material is unknown, or Newton is not there.
@@ -120,10 +121,11 @@ def certify(
     order = sorted(range(len(bodies)), key=lambda i: names[i])  # engines depend on it, certificates shall not
     rank = np.argsort(order)
     ordered = [bodies[i] for i in order], poses[order], shell, config.seconds
-    simulations = [mujoco_engine.simulate(*ordered, config.mujoco, config.nudge_m_s, nudged_sleep=config.nudge_sleep_m_s, spread=spread)]
-    if config.mujoco_defaults:
-        defaults = dataclasses.replace(config.mujoco, cone="pyramidal", impratio=1.0, integrator="Euler")  # what is not set otherwise
-        simulations.append(mujoco_engine.simulate(*ordered, defaults, config.nudge_m_s, "mujoco_defaults", config.nudge_sleep_m_s, spread))
+    engines = {"mujoco": config.mujoco}
+    if config.mujoco_defaults:  # what is not set otherwise
+        engines["mujoco_defaults"] = dataclasses.replace(config.mujoco, cone="pyramidal", impratio=1.0, integrator="Euler")
+    sleeping = [int(rank[i]) for i in asleep]
+    simulations = mujoco_engine.simulate_all(*ordered, engines, config.nudge_m_s, config.nudge_sleep_m_s, spread, sleeping)
     if config.newton.python:
         simulations.append(newton_engine.simulate(*ordered, config.newton))
     certified = []

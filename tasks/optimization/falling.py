@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,13 @@ from tasks.optimization.default import Default
 from tasks.optimization.interior import Interior
 from tasks.optimization.parting import APART_M
 from tasks.optimization.search.trace import Move, moved_poses
-from tasks.optimization.solids import RigidBody
+from tasks.optimization.solids import ConvexParts, RigidBody
 from tasks.optimization.support.resting import MOST_LAID_M, lost_supports
 from tasks.optimization.support.supports import SupportConfig
 from tasks.stage import Spread, in_turn
 
 Array = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
 
 MOST_ROUNDS = 3
 """Falls that are followed, one after the other: what lies now may have held something else."""
@@ -28,17 +29,23 @@ MOST_ROUNDS = 3
 MOST_PARTINGS = 40
 """Shifts that may bring a fallen object out of what the engine's soft contacts let it sink into."""
 
+BESIDE_M = 0.01
+"""Objects whose pieces' boxes are no farther apart than this may lean on one another or push one another [m]: as far as what is stable
+moves."""
+
 SUNK_M = 0.001
 """Deeper than this no contact at rest is soft [m]: the engine has lost track."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Fall:
-    """What letting objects fall came to: poses [m], shape (n, 4, 4), the moves that lead there, in order, and new certificates."""
+    """What letting objects fall came to: poses [m], shape (n, 4, 4), the moves that lead there, in order, and certificates. concerned:
+    Objects, by number, of which these are new."""
 
     poses: Array
     moves: tuple[tuple[str, Move], ...]
     certified: list[Certified]
+    concerned: frozenset[int] = frozenset()
 
 
 def let_fall(
@@ -52,6 +59,9 @@ def let_fall(
     What falls farther than `method.most_way_m` aside or `supports.most_drop_m` down from where it was scanned, off its carrier, or
     over although it is too high to be laid down, keeps its place, and so does what does not stay where it comes to rest. Nothing else
     is moved, and nobody falls at the cost of what stood before. allowed: depths [m] to which pairs may be in each other, by their names.
+
+    Certified anew is what fell or moved before, what was or is beside that, and what it hits; the rest sleeps meanwhile, untouched, and
+    keeps its certificates: these were made of the same poses among the same neighbors.
     """
     start = Fall(poses, (), certified)
     best, tried = start, start
@@ -59,15 +69,16 @@ def let_fall(
         falling = _falling(interior, tried, allowed, method, supports)
         if not falling:
             break
-        tried = _certified_after(interior, start, [*tried.moves, *falling], bodies, config, spread)
+        tried = _certified_after(interior, start, [*tried.moves, *falling], tried.concerned, bodies, config, spread)
         if _unstable(tried.certified) - _unstable(start.certified):
             break  # something that stood leaned on it
         best = tried
     restless = {name for name, _ in best.moves} & _unstable(best.certified)
     if restless:
-        best = _certified_after(interior, start, [move for move in best.moves if move[0] not in restless], bodies, config, spread)
-        if _is_met(interior, best, allowed, method.slop_m):
+        moves = [move for move in best.moves if move[0] not in restless]
+        if _is_met(interior, moves, _poses_after(interior, start, moves), allowed, method.slop_m):
             return start  # it fell to where another one went back to
+        best = _certified_after(interior, start, moves, best.concerned, bodies, config, spread)
     return best if _unstable(best.certified) < _unstable(start.certified) else start
 
 
@@ -76,24 +87,73 @@ def _unstable(certified: Sequence[Certified]) -> set[str]:
     return {row.name for row in certified if not (row.is_stable_1cm and row.is_stable_5cm) or row.is_stable_nudged is False}
 
 
-def _is_met(interior: Interior, fall: Fall, allowed: Mapping[tuple[str, str], float], slop: float) -> bool:
-    """Whether anything overlaps what fell by more than `slop` [m]. allowed: as for `let_fall`."""
-    fell = {name for name, _ in fall.moves}
-    met = Colliders(interior.solids, interior.shell).penetrations(fall.poses)
+def _is_met(
+    interior: Interior, moves: Sequence[tuple[str, Move]], poses: Array, allowed: Mapping[tuple[str, str], float], slop: float
+) -> bool:
+    """Whether anything overlaps what moves led to `poses` [m], shape (n, 4, 4), by more than `slop` [m]. allowed: as for `let_fall`."""
+    fell = {name for name, _ in moves}
+    met = Colliders(interior.solids, interior.shell).penetrations(poses)
     return any(fell & {p.a, p.b} and p.depth_m > slop + allowed.get((p.a, p.b), 0.0) for p in met)
 
 
-def _certified_after(
-    interior: Interior, start: Fall, moves: Sequence[tuple[str, Move]], bodies: Sequence[RigidBody], config: CertificateConfig,
-    spread: Spread,
-) -> Fall:  # fmt: skip
-    """Poses after moves from the start, as a replay of the trace has them, with certificates."""
-    if not moves:
-        return start
+def _poses_after(interior: Interior, start: Fall, moves: Sequence[tuple[str, Move]]) -> Array:
+    """Poses [m], shape (n, 4, 4), after moves from the start, as a replay of the trace has them."""
     parents = {name: carrier.parent_id for name, carrier in zip(interior.names, interior.carriers, strict=True)}
     moved = moved_poses(dict(zip(interior.names, start.poses, strict=True)), parents, moves)
-    poses = np.array([moved[name] for name in interior.names])
-    return Fall(poses, tuple(moves), certify(bodies, poses, interior.shell, config, spread))
+    return np.array([moved[name] for name in interior.names])
+
+
+def _certified_after(
+    interior: Interior, start: Fall, moves: Sequence[tuple[str, Move]], concerned: Collection[int], bodies: Sequence[RigidBody],
+    config: CertificateConfig, spread: Spread,
+) -> Fall:  # fmt: skip
+    """Poses after moves from the start, with new certificates of what these or former moves may concern."""
+    if not moves:
+        return start
+    poses, unstable = _poses_after(interior, start, moves), _unstable(start.certified)
+    moved = {*unstable, *(name for name, _ in moves)}
+    seeds = {*concerned, *(i for i, name in enumerate(interior.names) if name in moved)}
+    if config.mujoco.sleep_m_s == 0.0:  # then nothing ever sleeps
+        seeds = set(range(len(bodies)))
+    beside = _beside(interior.solids, [body.is_fixed for body in bodies], (start.poses, poses))
+    while True:
+        awake = _linked(beside, seeds)
+        asleep = [i for i, body in enumerate(bodies) if i not in awake and not body.is_fixed]
+        made = certify(bodies, poses, interior.shell, config, spread, asleep)
+        hit = {row.name for row in made if row.engine.startswith("mujoco") and (row.displacement_m or row.nudged_displacement_m)}
+        seeds = awake | {i for i in asleep if interior.names[i] in hit}
+        if seeds == awake:
+            break
+    names = {interior.names[i] for i in awake}
+    rows = [row if row.name in names else former for row, former in zip(made, start.certified, strict=True)]
+    return Fall(poses, tuple(moves), rows, frozenset(awake))
+
+
+def _beside(solids: Sequence[ConvexParts], fixed: Sequence[bool], states: Sequence[Array]) -> Booleans:
+    """Which solids are beside one another, with pieces whose boxes are at most `BESIDE_M` apart, at any of some poses [m], shape (n, 4, 4)
+    each; shape (n, n). What is fixed is beside nothing: it passes nothing on."""
+    beside = np.zeros((len(solids), len(solids)), dtype=np.bool_)
+    for poses in states:
+        boxes = [
+            np.array([(hull.vertices.min(axis=0), hull.vertices.max(axis=0)) for hull in solid.placed(pose)]).reshape(-1, 2, 3)
+            for solid, pose in zip(solids, poses, strict=True)
+        ]
+        free = [i for i, box in enumerate(boxes) if len(box) and not fixed[i]]
+        for at, i in enumerate(free):
+            for j in free[at + 1 :]:
+                low, high = np.maximum(boxes[i][:, None, 0], boxes[j][None, :, 0]), np.minimum(boxes[i][:, None, 1], boxes[j][None, :, 1])
+                beside[i, j] |= bool((low <= high + BESIDE_M).all(axis=2).any())
+    return beside | beside.T
+
+
+def _linked(beside: Booleans, seeds: Collection[int]) -> set[int]:
+    """Seeds and all that they reach from one to the next."""
+    linked, waiting = set(seeds), list(seeds)
+    while waiting:
+        new = set(np.flatnonzero(beside[waiting.pop()]).tolist()) - linked
+        linked |= new
+        waiting += new
+    return linked
 
 
 def _falling(

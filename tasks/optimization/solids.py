@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections import OrderedDict
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,11 @@ class ConvexParts:
     hulls: tuple[Hull, ...]
     properties: MassProperties | None = None
     shares: ColliderShares | None = None
+
+    @cached_property
+    def volumes(self) -> tuple[float, ...]:
+        """Volume of every piece [m3], not a number where a vertex is not finite."""
+        return tuple(hull.volume if np.isfinite(hull.vertices).all() else np.nan for hull in self.hulls)
 
     def placed(self, pose: Array) -> tuple[Hull, ...]:
         """The pieces moved by a rigid pose, 4x4 [m]."""

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Sequence
+import pickle
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cached_property, lru_cache
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -21,6 +23,9 @@ from tasks.settings import LISTED, Config, Count, NonNegative, Positive
 from tasks.stage import Spread, in_turn
 
 Array = NDArray[np.float64]
+CLOSE_M = 1e-5
+"""What is farther apart than this does not overlap, whatever is rounded [m]."""
+
 LONGEST_TIMESTEP_S = 0.02
 """From here on a fall of one step goes deeper than objects are thick [s]: contacts are missed or shoot objects away."""
 
@@ -77,41 +82,107 @@ def simulate(
     bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], seconds: float, settings: Mujoco, nudge: float = 0.0,
     name: str = "mujoco", nudged_sleep: float = 0.0, spread: Spread = in_turn,
 ) -> Simulation:  # fmt: skip
-    """Objects left alone under gravity at `poses` [m], shape (n, 4, 4), in the order given; then again from there, with every free object
-    at a speed of `nudge` [m/s] in each direction of `NUDGES`, unless that is 0; one run after another, or as `spread` does them.
+    """`simulate_all` by one engine, named `name` and set so."""
+    return simulate_all(bodies, poses, shell, seconds, {name: settings}, nudge, nudged_sleep, spread)[0]
 
-    nudged_sleep: after a nudge objects sleep below this speed [m/s] if it is above `settings.sleep_m_s`; where nothing ever sleeps, it
-    does nothing.
+
+def simulate_all(
+    bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], seconds: float, engines: Mapping[str, Mujoco],
+    nudge: float = 0.0, nudged_sleep: float = 0.0, spread: Spread = in_turn, asleep: Collection[int] = (),
+) -> list[Simulation]:  # fmt: skip
+    """Objects left alone under gravity at `poses` [m], shape (n, 4, 4), in the order given; then again from there, with every free object
+    at a speed of `nudge` [m/s] in each direction of `NUDGES`, unless that is 0; by MuJoCo as each of `engines` sets it, by name; one run
+    after another, or as `spread` does them.
+
+    nudged_sleep: after a nudge objects sleep below this speed [m/s] if it is above `Mujoco.sleep_m_s`; where nothing ever sleeps, it
+    does nothing. asleep: Bodies, by number, that sleep from the start, and get no speed, until something touches them; of these, all or
+    none that touch one another.
     An object that MuJoCo refuses, or whose state diverges, has a problem: it is left out and stays where it is.
     """
-    mujoco = mujoco_module()
-    problems = [unfit(body) for body in bodies]
-    pushes = [np.zeros(2), *(nudge * np.array(direction) for direction in (NUDGES if nudge > 0.0 else ()))]
-    sleeps = [settings.sleep_m_s, *[max(settings.sleep_m_s, nudged_sleep)] * (len(pushes) - 1)]
-    while True:
-        model = _model(bodies, poses, shell, problems, settings)
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        depth = _start_penetration(model, data, len(bodies))
-        free = [i for i, body in enumerate(bodies) if not body.is_fixed and problems[i] is None]
-        steps = round(seconds / settings.timestep_s) if free else 0
-        runs = spread(_pushed, [_Push(model, push, sleep, steps, settings) for push, sleep in zip(pushes, sleeps, strict=True)])
-        failure = next((run for run in runs if run.failed), None)
-        if failure is None:
-            break
-        for row in failure.failed:
-            problems[free[row]] = failure.problem
-    ends = [_settled(poses, free, run.places) for run in runs]
-    nudged = np.array(ends[1:]).reshape(len(ends) - 1, len(bodies), 4, 4)
-    return Simulation(name, mujoco.__version__, seconds, ends[0], depth, tuple(problems), nudged)
+    refused = tuple(unfit(body) for body in bodies)
+    problems = dict.fromkeys(engines, refused)
+    speeds = [np.zeros(2), *(nudge * np.array(direction) for direction in (NUDGES if nudge > 0.0 else ()))]
+    scenes: dict[tuple[tuple[str | None, ...], Mujoco], _Scene] = {}
+    made: dict[str, Simulation] = {}
+    while waiting := [name for name in engines if name not in made]:
+        begun: dict[str, _Scene] = {}
+        pushes: list[_Push] = []
+        for name in waiting:
+            settings = engines[name]
+            key = (problems[name], dataclasses.replace(settings, **_ANY_SOLVER))
+            if key not in scenes:
+                scenes[key] = _scene(bodies, poses, shell, problems[name], settings, asleep)
+            begun[name] = scene = scenes[key]
+            steps = round(seconds / settings.timestep_s) if scene.free else 0
+            sleeps = [settings.sleep_m_s, *[max(settings.sleep_m_s, nudged_sleep)] * (len(speeds) - 1)]
+            pushes += [_Push(scene.compiled, speed, sleep, steps, settings) for speed, sleep in zip(speeds, sleeps, strict=True)]
+        done = iter(spread(_pushed, pushes))
+        for name, scene in begun.items():
+            runs: list[_Pushed] = [next(done) for _ in speeds]
+            failure = next((run for run in runs if run.failed), None)
+            if failure is not None:
+                failed = {scene.free[row] for row in failure.failed}
+                problems[name] = tuple(failure.problem if i in failed else problem for i, problem in enumerate(scene.problems))
+                continue
+            ends = np.array([_settled(poses, scene.free, run.places) for run in runs]).reshape(len(runs), len(bodies), 4, 4)
+            made[name] = Simulation(name, mujoco_module().__version__, seconds, ends[0], scene.depth, scene.problems, ends[1:])
+    return [made[name] for name in engines]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Scene:
+    """A scene. problems: Of every body, in the order given, why it is not in it, or None. free: Which bodies move, by number.
+    depth: Their deepest penetrations at the start [m], shape (n,)."""
+
+    compiled: _Compiled
+    problems: tuple[str | None, ...]
+    free: list[int]
+    depth: Array
+
+
+def _scene(
+    bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], problems: Sequence[str | None], settings: Mujoco,
+    asleep: Collection[int],
+) -> _Scene:  # fmt: skip
+    """The scene without the bodies that have problems, or that MuJoCo refuses."""
+    mujoco, reasons = mujoco_module(), list(problems)
+    model = _model(bodies, poses, shell, reasons, settings)
+    for i in asleep:
+        if not bodies[i].is_fixed and reasons[i] is None:
+            model.tree_sleep_policy[model.body_treeid[model.body(f"b{i}").id]] = mujoco.mjtSleepPolicy.mjSLEEP_INIT
+    data = mujoco.MjData(model)
+    mujoco.mj_fwdPosition(model, data)
+    free = [i for i, body in enumerate(bodies) if not body.is_fixed and reasons[i] is None]
+    return _Scene(_Compiled(model), tuple(reasons), free, _start_penetration(model, data, len(bodies)))
+
+
+class _Compiled:
+    """A scene as MuJoCo's model. Runs in other processes are sent the same bytes, and each process unpacks them once."""
+
+    def __init__(self, model: Any) -> None:
+        self.model = model
+
+    @cached_property
+    def _packed(self) -> bytes:
+        return pickle.dumps(self.model)
+
+    def __reduce__(self) -> tuple[Callable[[bytes], _Compiled], tuple[bytes]]:
+        return _unpacked, (self._packed,)
+
+
+@lru_cache(maxsize=2)
+def _unpacked(packed: bytes) -> _Compiled:
+    """A scene from another process: those of two engines in turn."""
+    mujoco_module()
+    return _Compiled(pickle.loads(packed))
 
 
 @dataclasses.dataclass(frozen=True)
 class _Push:
-    """A run of a model: from its start, with a speed along x and y for all that is free [m/s], shape (2,). sleep: The speed below which
+    """A run of a scene: from its start, with a speed along x and y for all that is free [m/s], shape (2,). sleep: The speed below which
     things sleep [m/s]."""
 
-    model: Any
+    scene: _Compiled
     speed: Array
     sleep: float
     steps: int
@@ -128,10 +199,12 @@ class _Pushed(NamedTuple):
 
 def _pushed(push: _Push) -> _Pushed:
     """Do a run."""
-    data = mujoco_module().MjData(push.model)
-    push.model.opt.sleep_tolerance = push.sleep
-    data.qvel.reshape(-1, 6)[:, :2] = push.speed
-    failed, problem = _run(push.model, data, push.steps, push.settings)
+    model = push.scene.model
+    _set_solver(model.opt, push.settings)
+    model.opt.sleep_tolerance = push.sleep
+    data = mujoco_module().MjData(model)
+    data.qvel.reshape(-1, 6)[data.tree_awake > 0, :2] = push.speed
+    failed, problem = _run(model, data, push.steps, push.settings)
     return _Pushed(np.array(data.qpos).reshape(-1, 7), failed, problem)
 
 
@@ -146,23 +219,27 @@ def _settled(poses: Array, free: Sequence[int], places: Array) -> Array:
 def _run(model: Any, data: Any, steps: int, settings: Mujoco) -> tuple[list[int], str]:
     """Simulate so many steps, or until it fails: the objects, by number, that it fails for, and why."""
     mujoco = mujoco_module()
-    which = mujoco.mjtWarning
+    which, warnings = mujoco.mjtWarning, data.warning.number
+    full = [int(w) for w in (which.mjWARN_CONTACTFULL, which.mjWARN_CNSTRFULL)]
+    bad = [int(w) for w in (which.mjWARN_BADQPOS, which.mjWARN_BADQVEL, which.mjWARN_BADQACC)]
+    parts = ((data.qpos, 7), (data.qvel, 6), (data.qacc, 6))
     for done in range(0, steps, settings.check_steps):
         mujoco.mj_step(model, data, min(settings.check_steps, steps - done))
-        if any(data.warning[w].number for w in (which.mjWARN_CONTACTFULL, which.mjWARN_CNSTRFULL)):
+        if warnings[full].any():
             return list(range(model.njnt)), "MuJoCo has no room for the scene's contacts"
-        state = np.column_stack([data.qpos.reshape(-1, 7), data.qvel.reshape(-1, 6), data.qacc.reshape(-1, 6)])
-        bad = any(data.warning[w].number for w in (which.mjWARN_BADQPOS, which.mjWARN_BADQVEL, which.mjWARN_BADQACC))
-        if bad or not np.isfinite(state).all():
+        if warnings[bad].any() or not all(np.isfinite(values).all() for values, _ in parts):
+            state = np.column_stack([values.reshape(-1, width) for values, width in parts])
             size = np.where(np.isfinite(state), np.abs(state), np.inf).max(axis=1)
             worst = min(float(size.max()), mujoco.mjMAXVAL)
             return np.flatnonzero(size >= worst).tolist(), f"its state diverges after {data.time:.3g} s"
+        if data.ntree_awake == 0:  # nothing that sleeps moves, and nobody is left to wake it
+            break
     return [], ""
 
 
 def solid_volume(solid: ConvexParts) -> float:
     """Volume of the union of a solid's pieces [m3]; 0 when they are none."""
-    if not all(np.isfinite(hull.vertices).all() and hull.volume > 0.0 for hull in solid.hulls) or not solid.hulls:
+    if not all(volume > 0.0 for volume in solid.volumes) or not solid.hulls:
         return 0.0
     volume = mass_properties_of(solid).volume
     return volume if np.isfinite(volume) else 0.0
@@ -195,11 +272,10 @@ def unfit(body: RigidBody) -> str | None:
     """Why a body cannot be simulated by any engine, or None."""
     if not body.solid.hulls:
         return "it has no pieces"
-    for number, hull in enumerate(body.solid.hulls):
-        if not np.isfinite(hull.vertices).all():
-            return f"piece {number} has a vertex that is not finite"
-        if not hull.volume > 0.0:
-            return f"piece {number} has no volume"
+    for number, volume in enumerate(body.solid.volumes):
+        if not volume > 0.0:
+            is_finite = np.isfinite(body.solid.hulls[number].vertices).all()
+            return f"piece {number} has no volume" if is_finite else f"piece {number} has a vertex that is not finite"
     if not (np.isfinite(body.mass_kg) and body.mass_kg > 0.0):
         return f"its mass is {body.mass_kg:g} kg"
     return None if solid_volume(body.solid) > 0.0 else "its pieces have no volume"
@@ -224,10 +300,8 @@ def empty_spec(settings: Mujoco) -> Any:
     mujoco = mujoco_module()
     spec = mujoco.MjSpec()
     option = spec.option
-    option.timestep, option.impratio = settings.timestep_s, settings.impratio
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC if settings.cone == "elliptic" else mujoco.mjtCone.mjCONE_PYRAMIDAL
-    which = mujoco.mjtIntegrator
-    option.integrator = which.mjINT_IMPLICITFAST if settings.integrator == "implicitfast" else which.mjINT_EULER
+    _set_solver(option, settings)
+    option.timestep = settings.timestep_s
     option.iterations, option.tolerance = settings.iterations, settings.tolerance
     option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that went astray must not look like the start
     if settings.sleep_m_s > 0.0:
@@ -235,6 +309,19 @@ def empty_spec(settings: Mujoco) -> Any:
     spec.compiler.usethread = False
     spec.memory = settings.memory_bytes
     return spec
+
+
+_ANY_SOLVER: Mapping[str, Any] = {"cone": Mujoco.cone, "integrator": Mujoco.integrator, "impratio": Mujoco.impratio}
+"""What a compiled scene does not depend on: scenes that differ in nothing else are compiled once."""
+
+
+def _set_solver(option: Any, settings: Mujoco) -> None:
+    """Set what `_ANY_SOLVER` names in MuJoCo's options."""
+    mujoco = mujoco_module()
+    option.impratio = settings.impratio
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC if settings.cone == "elliptic" else mujoco.mjtCone.mjCONE_PYRAMIDAL
+    which = mujoco.mjtIntegrator
+    option.integrator = which.mjINT_IMPLICITFAST if settings.integrator == "implicitfast" else which.mjINT_EULER
 
 
 def _spec(bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], problems: Sequence[str | None], settings: Mujoco) -> Any:
@@ -274,28 +361,35 @@ def _start_penetration(model: Any, data: Any, count: int) -> Array:
     collide, are measured one by one."""
     mujoco = mujoco_module()
     depth = np.zeros(count)
-    names = [model.body(number).name for number in range(model.nbody)]
+    names = (model.body(number).name for number in range(model.nbody))
     owner = np.array([int(name[1:]) if name.startswith("b") else -1 for name in names])[model.geom_bodyid]
 
-    def deepen(first: int, second: int, distance: float) -> None:
-        for geom in (first, second):
-            if owner[geom] >= 0:
-                depth[owner[geom]] = max(depth[owner[geom]], -distance)
+    def deepen(geoms: NDArray[Any], distance: float | Array) -> None:
+        for geom in np.asarray(geoms).reshape(-1, 2).T:
+            known = owner[geom] >= 0
+            np.maximum.at(depth, owner[geom][known], 0.0 - np.broadcast_to(distance, known.shape)[known])  # no zero below zero
 
-    for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
-        deepen(int(geoms[0]), int(geoms[1]), float(distance))
-    static = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] == 0]
-    fixed = [g for g in static if owner[g] >= 0]
-    reach = model.geom_rbound
-    for a in fixed:
-        lowest = float((_world_vertices(model, data, a)[:, 2]).min())
-        deepen(a, 0, min(lowest, 0.0))
-        for b in static:
-            if b == 0 or owner[a] == owner[b] or (owner[b] >= 0 and b < a):
-                continue
-            if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) < reach[a] + reach[b]:
-                deepen(a, b, min(float(mujoco.mj_geomDistance(model, data, a, b, 0.0, None)), 0.0))
+    deepen(data.contact.geom, data.contact.dist)
+    static = np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0)
+    fixed, (low, high) = static[owner[static] >= 0], _world_boxes(model, data)
+    for a in fixed[low[fixed, 2] < CLOSE_M].tolist():
+        deepen(np.array([a, 0]), min(float((_world_vertices(model, data, a)[:, 2]).min()), 0.0))
+    met = np.ones((len(fixed), len(static)), dtype=np.bool_)
+    for k in range(3):
+        met &= (low[None, static, k] <= high[fixed, None, k] + CLOSE_M) & (high[None, static, k] >= low[fixed, None, k] - CLOSE_M)
+    met &= (static != 0) & (owner[static] != owner[fixed, None]) & ((owner[static] < 0) | (static > fixed[:, None]))
+    rows, columns = np.nonzero(met)
+    for a, b in zip(fixed[rows].tolist(), static[columns].tolist(), strict=True):
+        deepen(np.array([a, b]), min(float(mujoco.mj_geomDistance(model, data, a, b, 0.0, None)), 0.0))
     return depth
+
+
+def _world_boxes(model: Any, data: Any) -> tuple[Array, Array]:
+    """Low and high corners of boxes around geoms in the world frame [m], shape (n, 3) each."""
+    turn, box = data.geom_xmat.reshape(-1, 3, 3), model.geom_aabb
+    center = np.einsum("nij,nj->ni", turn, box[:, :3]) + data.geom_xpos
+    half = np.einsum("nij,nj->ni", np.abs(turn), box[:, 3:])
+    return center - half, center + half
 
 
 def _world_vertices(model: Any, data: Any, geom: int) -> Array:

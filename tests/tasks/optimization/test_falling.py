@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
 
 from tasks.geometry.transforms import rotation_of, yaw_pose
 from tasks.optimization import falling
@@ -123,8 +125,8 @@ def test_what_fell_meets_nothing_that_went_back(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(falling, "_falling", lambda *_: next(rounds, []))
     asked: list[list[Certified]] = []
 
-    def certify_so(bodies: object, poses: np.ndarray, shell: object, config: object, spread: object) -> list[Certified]:
-        """After the fall only the first one moves; once it went back, too."""
+    def certify_so(bodies: object, poses: np.ndarray, shell: object, config: object, spread: object, *_: object) -> list[Certified]:
+        """After the fall only the first one moves."""
         made = [dataclasses.replace(row, is_stable_1cm=row.name != "0001", is_stable_5cm=row.name != "0001", is_stable_nudged=True)
                 for row in before.certified]  # fmt: skip
         asked.append(made)
@@ -133,9 +135,75 @@ def test_what_fell_meets_nothing_that_went_back(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(falling, "certify", certify_so)
     bodies, _ = bodies_of(interior, [], BodyConfig())
     made = let_fall(interior, before.poses, before.certified, bodies, {}, Default(), SupportConfig(), CertificateConfig())
-    assert len(asked) == 2
+    assert len(asked) == 1, "it is not asked for nothing"
     assert made.moves == ()
     assert made.poses.tobytes() == before.poses.tobytes()
+
+
+def test_only_what_a_fall_concerns_is_certified_anew() -> None:
+    """A pile far off keeps its certificates to the object, and all agree with those of the whole scene where things lie."""
+    pile = [("box", [block((0.2, 0.2, 0.2))], yaw_pose(0.0, [2.0, 0.0, z])) for z in (0.0, 0.2)]
+    neighbor = ("box", [block((0.1, 0.1, 0.1))], yaw_pose(0.0, [-0.5, -0.5, 0.4]))
+    interior, before, after = fallen(SLAB, leaning((0.1, 0.3, 0.3), 0.6, (0.0, 0.0, 0.4)), neighbor, *pile)
+    assert [name for name, _ in after.moves] == ["0001"]
+    kept = {old.name for old, new in zip(before.certified, after.certified, strict=True) if old is new}
+    assert kept == {"0003", "0004"}
+    assert {interior.names[i] for i in after.concerned} == {"0000", "0001", "0002"}
+    bodies, _ = bodies_of(interior, [], BodyConfig())
+    for row, whole in zip(after.certified, certify(bodies, after.poses, interior.shell, CertificateConfig()), strict=True):
+        assert (row.name, row.engine) == (whole.name, whole.engine)
+        assert (row.is_stable_1cm, row.is_stable_5cm, row.is_stable_nudged) == (True, True, True)
+        assert (whole.is_stable_1cm, whole.is_stable_5cm, whole.is_stable_nudged) == (True, True, True)
+        assert row.settled_pose is not None
+        assert whole.settled_pose is not None
+        np.testing.assert_allclose(row.settled_pose, whole.settled_pose, atol=1e-3)
+
+
+def test_what_is_hit_is_certified_with_its_neighbors(monkeypatch: pytest.MonkeyPatch) -> None:
+    interior, before, _ = fallen(
+        SLAB, leaning((0.1, 0.3, 0.3), 0.6, (0.0, 0.0, 0.4)),
+        *[("box", [block((0.2, 0.2, 0.2))], yaw_pose(0.0, [x, 0.0, 0.0])) for x in (2.0, 2.205, 4.0)],
+    )  # fmt: skip
+    asked: list[list[int]] = []
+
+    def certify_so(*given: Any) -> list[Certified]:
+        """Something that sleeps beside another is hit at first."""
+        asleep = given[5]
+        asked.append(asleep)
+        return [
+            dataclasses.replace(row, displacement_m=float(number % 5 == 2 or number % 5 not in asleep), nudged_displacement_m=0.0)
+            for number, row in enumerate(before.certified)
+        ]
+
+    monkeypatch.setattr(falling, "certify", certify_so)
+    bodies, _ = bodies_of(interior, [], BodyConfig())
+    let_fall(interior, before.poses, before.certified, bodies, {}, Default(), SupportConfig(), CertificateConfig())
+    assert [interior.names[i] for i in asked[0]] == ["0002", "0003", "0004"]
+    assert [interior.names[i] for i in asked[1]] == ["0004"]
+
+
+@given(
+    places=st.lists(st.tuples(*[st.floats(-0.5, 0.5)] * 3), min_size=2, max_size=8),
+    moved=st.lists(st.tuples(*[st.floats(-0.5, 0.5)] * 3), min_size=8, max_size=8), fixed=st.lists(st.booleans(), min_size=8, max_size=8),
+    seed=st.integers(0, 1),
+)  # fmt: skip
+def test_what_is_linked_is_found_pair_by_pair(
+    places: list[tuple[float, float, float]], moved: list[tuple[float, float, float]], fixed: list[bool], seed: int
+) -> None:
+    interior = interior_of([("box", [block((0.2, 0.1, 0.1)), block((0.05, 0.3, 0.05))], yaw_pose(0.0, place)) for place in places])
+    after = interior.poses.copy()
+    after[:, :3, 3] = np.array(moved[: len(places)])
+    beside = falling._beside(interior.solids, fixed[: len(places)], (interior.poses, after))
+    graph = np.zeros_like(beside)
+    for poses in (interior.poses, after):
+        placed = [solid.placed(pose) for solid, pose in zip(interior.solids, poses, strict=True)]
+        boxes = [[(hull.vertices.min(axis=0), hull.vertices.max(axis=0)) for hull in hulls] for hulls in placed]
+        for i, j in np.ndindex(graph.shape):
+            near = any((np.maximum(a[0], b[0]) <= np.minimum(a[1], b[1]) + falling.BESIDE_M).all() for a in boxes[i] for b in boxes[j])
+            graph[i, j] |= i != j and not fixed[i] and not fixed[j] and near
+    np.testing.assert_array_equal(beside, graph)
+    _, labels = connected_components(graph, directed=False)
+    assert falling._linked(beside, {seed}) == set(np.flatnonzero(labels == labels[seed]).tolist())
 
 
 def test_two_that_lean_on_one_another_fall_together_or_not_at_all() -> None:

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tasks.captions.physics import attributes, mass
 from tasks.furniture.rooms import ROOM_TYPES, furnish
@@ -146,3 +148,80 @@ def test_what_was_put_to_sleep_is_woken_by_what_hits_it() -> None:
     hit = {row.name: row.is_stable_nudged for row in certified(placed, FAST) if row.engine == "mujoco"}
     assert alone == {"0000": True, "0001": True}
     assert hit["0001"] is False
+
+
+def test_what_sleeps_from_the_start_stands_as_it_is_until_it_is_hit() -> None:
+    """A block falls onto a cup that sleeps, and another cup sleeps through; where nothing ever sleeps, both are certified as ever."""
+    cup, other, dropped = body("0000", (0.06, 0.06, 0.1), 0.05), body("0001", (0.06, 0.06, 0.1), 0.05), body("0002", (0.1, 0.1, 0.1), 5.0)
+    bodies, poses = [cup, other, dropped], np.array([np.eye(4), translation([1.0, 0.0, 0.0]), translation([0.04, 0.0, 0.5])])
+    rows = certify(bodies, poses, (), FAST, asleep=(0, 1))
+    for row in rows:
+        if row.name == "0001":
+            assert (row.displacement_m, row.tilt_radians, row.nudged_displacement_m) == (0.0, 0.0, 0.0)
+        else:
+            assert row.displacement_m
+            assert row.nudged_displacement_m
+    never = dataclasses.replace(FAST, mujoco=Mujoco(sleep_m_s=0.0))
+    for one, same in zip(certify(bodies, poses, (), never, asleep=(0, 1)), certify(bodies, poses, (), never), strict=True):
+        np.testing.assert_array_equal(one.settled_pose, same.settled_pose)
+        assert one.nudged_displacement_m == same.nudged_displacement_m
+
+
+def test_both_settings_of_one_scene_say_what_each_says_alone() -> None:
+    """A scene is compiled once for both, and may lose a body by one of them."""
+    placed = [(body(f"{i:02d}", (0.01 + 0.02 * i, 0.3, 0.5), 1.0), translation([i, 0.0, 0.0])) for i in range(3)]
+    placed.append((body("99", (0.2, 0.2, 0.2), float("nan")), translation([0.0, 3.0, 0.0])))
+    bodies, poses = [obj for obj, _ in placed], np.array([pose for _, pose in placed])
+    engines = {"one": Mujoco(), "other": Mujoco(cone="pyramidal", impratio=1.0, integrator="Euler"), "third": Mujoco(stiffness_s=0.03)}
+    together = mujoco_engine.simulate_all(bodies, poses, (), 1.0, engines, 0.05, 0.001)
+    for made, (name, engine) in zip(together, engines.items(), strict=True):
+        alone = mujoco_engine.simulate(bodies, poses, (), 1.0, engine, 0.05, name, 0.001)
+        for field in dataclasses.fields(alone):
+            np.testing.assert_array_equal(getattr(made, field.name), getattr(alone, field.name), err_msg=field.name)
+
+
+def test_a_run_may_end_where_all_sleep() -> None:
+    """Looked at once, at its end, a run ends where it ends when it is looked at often and left as soon as everything sleeps."""
+    placed = [(body(f"{i:02d}", (0.1 + 0.1 * i, 0.3, 0.3), 1.0), translation([i, 0.0, 0.001 * i])) for i in range(3)]
+    bodies, poses = [obj for obj, _ in placed], np.array([pose for _, pose in placed])
+    often, once = (mujoco_engine.simulate(bodies, poses, (), 2.0, Mujoco(check_steps=n), 0.05, nudged_sleep=0.001) for n in (1, 10_000))
+    assert often.settled.tobytes() == once.settled.tobytes()
+    assert often.nudged.tobytes() == once.nudged.tobytes()
+    assert not np.array_equal(often.nudged[0], poses)
+
+
+def plain_penetrations(bodies: Sequence[RigidBody], poses: np.ndarray) -> np.ndarray:
+    """Deepest penetration of fixed bodies with one another and the floor, pair by pair [m]."""
+    model = mujoco_engine._model(bodies, poses, (), [None] * len(bodies), Mujoco())
+    mujoco = mujoco_engine.mujoco_module()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    depth = np.zeros(len(bodies))
+    for i in range(len(bodies)):
+        for a in np.flatnonzero(model.geom_bodyid == i + 1).tolist():
+            depth[i] = max(depth[i], -float(mujoco_engine._world_vertices(model, data, a)[:, 2].min()))
+            for b in np.flatnonzero((model.geom_bodyid != i + 1) & (model.geom_bodyid > 0)).tolist():
+                depth[i] = max(depth[i], -float(mujoco.mj_geomDistance(model, data, min(a, b), max(a, b), 0.0, None)))
+    return depth
+
+
+@given(places=st.lists(st.tuples(*[st.floats(-0.3, 0.3)] * 2, st.floats(-0.05, 0.5), st.floats(-3.0, 3.0)), min_size=1, max_size=5))
+@settings(max_examples=30)
+def test_penetrations_of_fixed_bodies_are_those_of_all_pairs(places: list[tuple[float, float, float, float]]) -> None:
+    bodies = [dataclasses.replace(body(f"{i:02d}", (0.1 + 0.1 * i, 0.2, 0.1), 1.0), is_fixed=True) for i in range(len(places))]
+    poses = np.array([yaw_pose(yaw, [x, y, z]) for x, y, z, yaw in places])
+    found = mujoco_engine.simulate(bodies, poses, (), 1.0, Mujoco()).start_penetration
+    np.testing.assert_array_equal(found, plain_penetrations(bodies, poses))
+    assert not np.signbit(found).any()
+
+
+def test_a_scene_is_packed_once_for_all_its_runs() -> None:
+    scenes: list[bytes] = []
+
+    def packing(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        scenes.extend(item.scene.__reduce__()[1][0] for item in items)
+        return elsewhere(function, items)
+
+    certify([body("0001", (0.2, 0.2, 0.2), 1.0)], np.eye(4)[None], (), FAST, packing)
+    assert len(scenes) == 2 * (1 + len(NUDGES))
+    assert len({id(scene) for scene in scenes}) == 1
