@@ -60,8 +60,8 @@ def let_fall(
     over although it is too high to be laid down, keeps its place, and so does what does not stay where it comes to rest. Nothing else
     is moved, and nobody falls at the cost of what stood before. allowed: depths [m] to which pairs may be in each other, by their names.
 
-    Certified anew is what fell or moved before, what was or is beside that, and what it hits; the rest sleeps meanwhile, untouched, and
-    keeps its certificates: these were made of the same poses among the same neighbors.
+    While falls are tried, what fell or moved before, what was or is beside that, and what it hits are certified anew; the rest sleeps,
+    untouched, and keeps its certificates. Where they end, all is certified at once: an engine weighs all contacts together.
     """
     start = Fall(poses, (), certified)
     best, tried = start, start
@@ -79,6 +79,10 @@ def let_fall(
         if _is_met(interior, moves, _poses_after(interior, start, moves), allowed, method.slop_m):
             return start  # it fell to where another one went back to
         best = _certified_after(interior, start, moves, best.concerned, bodies, config, spread)
+    if not _unstable(best.certified) < _unstable(start.certified):
+        return start
+    if any(i not in best.concerned and not body.is_fixed for i, body in enumerate(bodies)):
+        best = dataclasses.replace(best, certified=certify(bodies, best.poses, interior.shell, config, spread))
     return best if _unstable(best.certified) < _unstable(start.certified) else start
 
 
