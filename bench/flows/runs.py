@@ -127,7 +127,7 @@ def measured_run(
 ) -> Figures:
     """Run all scans into a new lake, and measure it. The caches of `home` are emptied first: nothing is remembered.
 
-    cores: That all processes of the run are kept to, where the system can do that; None for those of the machine.
+    cores: That all processes of the run are kept to; None for those of the machine.
 
     Raises:
         LakeError: the run failed; with the last line that it said.
@@ -151,7 +151,7 @@ def measured_run(
 
 def _keeping_to(cores: int | None) -> Callable[[], None] | None:
     """What keeps a process and its children to so many of the cores that this one may use."""
-    if cores is None or not hasattr(os, "sched_setaffinity"):
+    if cores is None:
         return None
     chosen = sorted(os.sched_getaffinity(0))[:cores]
     return lambda: os.sched_setaffinity(0, chosen)

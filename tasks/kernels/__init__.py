@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
+import os
 import shutil
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,13 +32,13 @@ def compile_kernels(*functions: Callable[..., Any], known: Mapping[str, Callable
 
     with _COMPILING:  # another thread may ask for the same functions, or have replaced some of them since these were named
         _keep_apart()
-        compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+        compiled = numba.njit(nogil=True, error_model="numpy")
         plain = [getattr(function, "py_func", function) for function in functions]
         names, kernels = plain[0].__globals__, dict(known or {})
         names.update(kernels)
         for function in plain:
             present = names[function.__name__]
-            kernels[function.__name__] = present if hasattr(present, "py_func") else compiled(function)
+            kernels[function.__name__] = present if hasattr(present, "py_func") else _kept(compiled(function))
             names[function.__name__] = kernels[function.__name__]
         return kernels
 
@@ -60,3 +63,32 @@ def _keep_apart() -> None:
         if former != own:
             shutil.rmtree(former, ignore_errors=True)
     numba.config.CACHE_DIR = str(own)  # type: ignore[attr-defined]
+
+
+def _kept(kernel: Any) -> Any:
+    """A kernel whose machine code is kept on the disk for other processes."""
+    kernel._cache = _cache_of_machine_code()(kernel.py_func)
+    return kernel
+
+
+@cache
+def _cache_of_machine_code() -> type[Any]:
+    from numba.core.caching import FunctionCache
+
+    class MachineCode(FunctionCache):
+        """Of one function. Processes that save at once wait for each other: numba would give two of them one file, and one the other's."""
+
+        def save_overload(self, sig: Any, data: Any) -> None:
+            with _alone(self.cache_path):
+                super().save_overload(sig, data)
+
+    return MachineCode
+
+
+@contextlib.contextmanager
+def _alone(folder: str) -> Iterator[None]:
+    """Nobody else works in a folder meanwhile."""
+    os.makedirs(folder, exist_ok=True)
+    with open(os.path.join(folder, "lock"), "wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

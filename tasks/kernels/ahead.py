@@ -23,7 +23,7 @@ _ARRAY = re.compile(r"(readonly )?array\((\w+), (\d)d, ([CFA])\)")
 _GENERATOR = "NumPyRandomGeneratorType"
 
 
-class Precompiled(NamedTuple):
+class Signature(NamedTuple):
     """A kernel and what it is called with. maker: `module:function` that compiles it. name: Of the kernel. types: Of its arguments."""
 
     maker: str
@@ -31,14 +31,14 @@ class Precompiled(NamedTuple):
     types: tuple[str, ...]
 
 
-def precompiled() -> list[Precompiled]:
-    """Kernels that a run needs, those first that take longest: they are called with most."""
+def signatures() -> list[Signature]:
+    """What a run calls, the longest signatures first: they are those of the largest kernels, which had better not be compiled last."""
     listed = json.loads(KERNELS.read_text())
-    made = [Precompiled(maker, name, tuple(types)) for maker, names in listed.items() for name, calls in names.items() for types in calls]
+    made = [Signature(maker, name, tuple(types)) for maker, names in listed.items() for name, calls in names.items() for types in calls]
     return sorted(made, key=lambda kernel: -sum(len(each) for each in kernel.types))
 
 
-def compile_ahead(kernel: Precompiled) -> bool:
+def compile_ahead(kernel: Signature) -> bool:
     """Compile a kernel, or load it where somebody has compiled it on this machine; whether it was compiled.
 
     Raises:

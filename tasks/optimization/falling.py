@@ -73,16 +73,18 @@ def let_fall(
         if _unstable(tried.certified) - _unstable(start.certified):
             break  # something that stood leaned on it
         best = tried
-    restless = {name for name, _ in best.moves} & _unstable(best.certified)
-    if restless:
+    is_whole = best.concerned == frozenset(range(len(bodies)))
+    while best.moves:
+        restless = {name for name, _ in best.moves} & _unstable(best.certified)
+        if is_whole and not restless:
+            break
         moves = [move for move in best.moves if move[0] not in restless]
-        if _is_met(interior, moves, _poses_after(interior, start, moves), allowed, method.slop_m):
+        poses = _poses_after(interior, start, moves)
+        if not moves or (restless and _is_met(interior, moves, poses, allowed, method.slop_m)):
             return start  # it fell to where another one went back to
-        best = _certified_after(interior, start, moves, best.concerned, bodies, config, spread)
-    if not _unstable(best.certified) < _unstable(start.certified):
-        return start
-    if any(i not in best.concerned and not body.is_fixed for i, body in enumerate(bodies)):
-        best = dataclasses.replace(best, certified=certify(bodies, best.poses, interior.shell, config, spread))
+        made = certify(bodies, poses, interior.shell, config, spread)
+        best = dataclasses.replace(best, poses=poses, moves=tuple(moves), certified=made)
+        is_whole = True
     return best if _unstable(best.certified) < _unstable(start.certified) else start
 
 
@@ -128,9 +130,9 @@ def _certified_after(
         seeds = awake | {i for i in asleep if interior.names[i] in hit}
         if seeds == awake:
             break
-    names = {interior.names[i] for i in awake}
-    rows = [row if row.name in names else former for row, former in zip(made, start.certified, strict=True)]
-    return Fall(poses, tuple(moves), rows, frozenset(awake))
+    sleeping = {interior.names[i] for i in asleep}
+    rows = [former if row.name in sleeping else row for row, former in zip(made, start.certified, strict=True)]
+    return Fall(poses, tuple(moves), rows, frozenset(range(len(bodies))) - frozenset(asleep))
 
 
 def _beside(solids: Sequence[ConvexParts], fixed: Sequence[bool], states: Sequence[Array]) -> Booleans:

@@ -25,7 +25,19 @@ from bench.flows.overhead import speed_up
 from bench.flows.projection import Prices, projection
 from bench.flows.report import FlowsBench, added_share, goals, real_share, steps_of
 from bench.flows.requests import Requests, kind_of
-from bench.flows.runs import PLAIN, Figures, MemorySample, Samples, command_of, figures_of, gaps_of, measured_run, sampled, surroundings
+from bench.flows.runs import (
+    PLAIN,
+    Figures,
+    MemorySample,
+    Samples,
+    _keeping_to,
+    command_of,
+    figures_of,
+    gaps_of,
+    measured_run,
+    sampled,
+    surroundings,
+)
 from bench.flows.scale import ScaleBench, exponents, run_scale_bench
 from bench.flows.sharing import Sharing
 from bench.flows.small_scenes import SETTINGS, write_crowded_scan, write_small_scans
@@ -392,3 +404,12 @@ def test_more_scenes_are_taken_to_be_like_those_that_were_measured(
     assert found["month_usd"] * 1e9 == pytest.approx(found["bytes"]) == pytest.approx(scenes * size)
     assert found["put"] == found["get"] == pytest.approx(scenes * (stage + own + fixed / 25), abs=1e-3)
     assert found["requests_usd"] == pytest.approx((found["put"] + found["list"]) / 1000)
+
+
+@pytest.mark.parametrize("cores", [None, 1])
+def test_a_run_and_its_children_are_kept_to_cores(cores: int | None) -> None:
+    code = "import os, subprocess, sys; print(len(os.sched_getaffinity(0))); sys.stdout.flush(); "
+    nested = code + f"subprocess.run([sys.executable, '-c', {code!r}])"
+    done = subprocess.run([sys.executable, "-c", nested], preexec_fn=_keeping_to(cores), capture_output=True, text=True, check=True)
+    wanted = cores or len(os.sched_getaffinity(0))
+    assert done.stdout.split() == [str(wanted)] * 2

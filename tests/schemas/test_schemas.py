@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from schemas.errors import RecordError
-from schemas.record import Table, _type_rule, arrow_to_rows, check, rows_to_arrow, table_of
+from schemas.record import Table, _are_sound, _type_rule, arrow_to_rows, check, rows_to_arrow, table_of
 from schemas.tables import RECORDS, TABLES
 from tests.conftest import REPOSITORY
 from tests.samples import rows, sample
@@ -138,6 +138,14 @@ def test_whole_columns_are_checked_as_their_values_are(table: Table, data: st.Da
     except RecordError as error:
         found = str(error)
     assert found == first_rule(made, table)
+
+
+@pytest.mark.parametrize("table", TABLES.values(), ids=lambda table: table.name)
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None, max_examples=5)
+@given(data=st.data())
+def test_sound_rows_are_checked_by_columns_alone(table: Table, data: st.DataObject) -> None:
+    made = list({tuple(getattr(row, name) for name in table.key): row for row in data.draw(rows(table.record, 3))}.values())
+    assert _are_sound(made, table)
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=lambda table: table.name)

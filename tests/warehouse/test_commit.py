@@ -150,6 +150,24 @@ def test_files_that_are_written_together_are_there_in_order_and_whole(tmp_path: 
     assert storage.names("later") == storage.names("tmp") == []
 
 
+@pytest.mark.parametrize("number", [0, 1, 2, 40])
+def test_files_are_removed_whether_they_are_there_or_not(tmp_path: Path, number: int) -> None:
+    storage = LocalStorage(tmp_path / "lake")
+    paths = [f"staged/{i}" for i in range(number)]
+    for path in [*paths, "staged/stays"]:
+        storage.write(path, b"0")
+    storage.remove_all(["staged/nosuch", *paths])
+    storage.remove_all(paths)
+    assert storage.names("staged") == ["stays"]
+
+
+def test_a_file_that_cannot_be_removed_is_said(tmp_path: Path) -> None:
+    storage = LocalStorage(tmp_path / "lake")
+    storage.write("staged/folder/file", b"0")
+    with pytest.raises(OSError, match="folder"):
+        storage.remove_all(["staged/nosuch", "staged/folder", "staged/none"])
+
+
 def test_a_store_is_sent_the_last_of_files_when_it_has_all_others(monkeypatch: pytest.MonkeyPatch) -> None:
     store = ObjectStorage("s3://bucket/lake")
     begun, there = [], []

@@ -36,7 +36,7 @@ STORES = ("s3://", "gs://", "az://")
 """What addresses in stores of objects begin with: S3 and what speaks it, Google Cloud Storage, Azure."""
 
 SYNCS = 4
-"""Files that are synced at a time: one after another, forty small ones took a disk 266 ms, four at a time 19 ms, eight 15 ms."""
+"""Files that are synced, or removed, at a time: forty small ones took a disk 266 ms one after another, four at a time 19 ms, eight 15."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -249,6 +249,10 @@ class LocalStorage:
 
     def remove_all(self, paths: Sequence[str]) -> None:
         """See Storage. A disk that is told of every block that is freed takes several files in the time of one."""
+        if len(paths) < 2:
+            for path in paths:
+                self.remove(path)
+            return
         with ThreadPoolExecutor(SYNCS, thread_name_prefix="removals") as threads:
             for _ in threads.map(self.remove, paths):
                 pass

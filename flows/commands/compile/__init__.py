@@ -18,15 +18,16 @@ def command(workers: int, as_json: bool) -> None:
     """Compile the loops that runs compute with, once for this machine and version.
 
     Without it, each worker does so as it comes to them, which makes the first scene a minute longer. For images of containers, and
-    before many workers start at once. The code lies beside the package, or in NUMBA_CACHE_DIR.
+    before many workers start at once. The code lies in NUMBA_CACHE_DIR, else beside the
+    package, else in your cache folder.
 
     Example: metascenes compile
     """
     from flows.progress import Progress
     from flows.run.pool import spread_over
-    from tasks.kernels.ahead import compile_ahead, precompiled
+    from tasks.kernels.ahead import compile_ahead, signatures
 
-    clock, kernels = time.perf_counter(), precompiled()
+    clock, kernels = time.perf_counter(), signatures()
     with Progress("compiling", len(kernels)) as progress:
         made = sum(spread_over(workers, lambda _done, _of: progress.advance())(compile_ahead, kernels))
     seconds = time.perf_counter() - clock

@@ -94,7 +94,7 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
     with the rug that it stands on, its category guessed from its size; a worktop with one of the cabinets below it; things on several
     boards of a shelf; doors and windows in different planes."""
     normals = vertex_normals(world.vertices, world.faces)
-    made, labels, notes = list(groups), list(meanings), []
+    made, labels, notes, areas = list(groups), list(meanings), [], np.zeros(0)
     for at, (group, label) in enumerate(zip(groups, meanings, strict=True)):
         points = world.vertices[group.vertices]
         if label.is_structure or len(points) < STANDS_POINTS:
@@ -106,7 +106,8 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
             parts = [(label.category, group.vertices[own]) for own in panels[1:]]
         elif mounting(label.category).kind == "covering":
             standing = [group.vertices[own] for own in _standing_on(points)]
-            floor, areas = float(np.quantile(points[:, 2], 0.05)), vertex_areas(world) if standing else np.zeros(0)
+            floor = float(np.quantile(points[:, 2], 0.05))
+            areas = vertex_areas(world) if standing and not len(areas) else areas
             parts = [(_guessed(world.vertices[own], normals[own], areas[own], floor), own) for own in standing]
             parts = [part for part in parts if part[0] != UNKNOWN]
         elif label.category.split(" ")[-1] in KITCHEN:

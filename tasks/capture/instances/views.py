@@ -151,8 +151,7 @@ def _search(
 
 def border_contact(mask: NDArray[np.bool_]) -> float:
     """Share of a mask's outline that lies on the image's border, its outline taken as that of a square of its area; 0 to 1."""
-    touching = int(mask[0].sum() + mask[-1].sum() + mask[1:-1, 0].sum() + mask[1:-1, -1].sum())
-    return _contact(touching, int(mask.sum()))
+    return _contact(int(mask.sum()) - int(mask[1:-1, 1:-1].sum()), int(mask.sum()))
 
 
 def _contact(touching: int, size: int) -> float:

@@ -153,10 +153,13 @@ def lean_of(points: Array, center: Array) -> tuple[Array, Array] | None:
     return where, np.array([-way[1], way[0], 0.0])
 
 
-def free_turn(shapes: Shapes, stand: Stand, body: int, among: Booleans, pivot: Array, axis: Array, most: float) -> float:
+def free_turn(
+    shapes: Shapes, stand: Stand, body: int, among: Booleans, pivot: Array, axis: Array, most: float, least: float = 0.0
+) -> float:
     """How far a body may be turned about an axis until it touches [rad], at most a little more than `most`.
 
     What is below is measured exactly; what is beside only counts from a depth on that the test of faces cannot make up.
+    Angles up to `least` [rad] are not told apart.
     """
     held = 2.0 * CONTACT_M
 
@@ -164,8 +167,8 @@ def free_turn(shapes: Shapes, stand: Stand, body: int, among: Booleans, pivot: A
         vertices, normals = kept_shape(shapes, body)
         start = stand.place[body].copy()
         turn_about(shapes, stand, body, rotation_of(angle * axis), pivot)
-        gap, _ = compiled()["least_gap"](shapes, stand, body, among, SUNK_M)
-        deep = compiled()["deepest"](shapes, stand, body, among, held) if min(gap, stand.low[body, 2]) >= -TOUCH_M else np.inf
+        is_sunk = stand.low[body, 2] < -TOUCH_M or compiled()["sinks"](shapes, stand, body, among, SUNK_M, TOUCH_M)
+        deep = np.inf if is_sunk else compiled()["deepest"](shapes, stand, body, among, held)
         put_back(shapes, stand, body, vertices, normals, start)
         return bool(deep <= held)
 
@@ -177,7 +180,7 @@ def free_turn(shapes: Shapes, stand: Stand, body: int, among: Booleans, pivot: A
     else:
         return low
     high = low + step
-    while high - low > LEAST_TURN:
+    while high - low > LEAST_TURN and high > least:
         middle = 0.5 * (low + high)
         if fits(middle):
             low = middle
@@ -194,7 +197,7 @@ def _aside(shapes: Shapes, stand: Stand, body: int, among: Booleans, pivot: Arra
             move = reach * np.array([np.cos(0.25 * np.pi * way), np.sin(0.25 * np.pi * way), 0.0])
             move_by(stand, shapes, body, move)
             if compiled()["deepest"](shapes, stand, body, among, 2.0 * CONTACT_M) <= 2.0 * CONTACT_M:
-                angle = free_turn(shapes, stand, body, among, pivot + move, axis, most)
+                angle = free_turn(shapes, stand, body, among, pivot + move, axis, most, farthest)
                 if angle > farthest:
                     best, farthest = move, angle
             move_by(stand, shapes, body, -move)
@@ -240,7 +243,7 @@ def put_back(shapes: Shapes, stand: Stand, body: int, vertices: Array, normals: 
 @cache
 def compiled() -> Kernels:
     """The functions below and those of `shapes` as machine code, by name."""
-    return compile_kernels(put_point, pair_points, contact_points, deepest, known=geometry.compiled())
+    return compile_kernels(put_point, pair_points, contact_points, sinks, deepest, known=geometry.compiled())
 
 
 def put_point(stand: Stand, body: int, x: float, y: float, z: float, points: Array, count: int) -> int:
@@ -327,6 +330,31 @@ def contact_points(shapes: Shapes, stand: Stand, body: int, among: Any, near: fl
                 if lower <= near and lower >= raise_ and lower > -0.004:
                     count = pair_points(shapes, stand, body, other, p, q, near, points, count)
     return count
+
+
+def sinks(shapes: Shapes, stand: Stand, body: int, among: Any, reach: float, least: float) -> bool:
+    """Whether a body is more than `least` [m] in any of the bodies marked in `among`, shape (n,), as `least_gap` measures it."""
+    for other in range(len(among)):
+        if not among[other] or other == body or stand.low[body, 2] - stand.high[other, 2] >= -least:
+            continue
+        if stand.low[other, 2] >= stand.high[body, 2]:
+            continue
+        apart = False
+        for k in range(2):
+            apart = apart or stand.low[body, k] >= stand.high[other, k] or stand.low[other, k] >= stand.high[body, k]
+        if apart:
+            continue
+        for p in range(shapes.first_piece[body], shapes.first_piece[body + 1]):
+            for q in range(shapes.first_piece[other], shapes.first_piece[other + 1]):
+                apart = stand.piece_low[p, 2] - stand.piece_high[q, 2] >= -least or stand.piece_low[q, 2] >= stand.piece_high[p, 2]
+                for k in range(2):
+                    apart = apart or stand.piece_low[p, k] >= stand.piece_high[q, k] or stand.piece_low[q, k] >= stand.piece_high[p, k]
+                if apart:
+                    continue
+                lower, raise_ = piece_gap(shapes, stand, body, other, p, q)
+                if raise_ <= lower < -least and lower >= -reach:
+                    return True
+    return False
 
 
 def deepest(shapes: Shapes, stand: Stand, body: int, among: Any, slop: float) -> float:

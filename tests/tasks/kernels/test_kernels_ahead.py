@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numba import typeof, types
 from numba.core.types import Type
 
-from tasks.kernels.ahead import Precompiled, precompiled, text_of, type_of
+from tasks.kernels.ahead import Signature, signatures, text_of, type_of
 from tasks.optimization.search.arrangement import Arrangement
 from tasks.optimization.shapes import Stand
 
@@ -58,8 +58,8 @@ def test_a_type_that_has_no_text_is_refused() -> None:
         text_of(types.unicode_type)
 
 
-@pytest.mark.parametrize("kernel", precompiled(), ids=lambda kernel: f"{kernel.maker}-{kernel.name}-{len(str(kernel.types))}")
-def test_each_kernel_is_there_and_takes_so_many_arguments(kernel: Precompiled) -> None:
+@pytest.mark.parametrize("kernel", signatures(), ids=lambda kernel: f"{kernel.maker}-{kernel.name}-{len(str(kernel.types))}")
+def test_each_kernel_is_there_and_takes_so_many_arguments(kernel: Signature) -> None:
     place, _, maker = kernel.maker.partition(":")
     module = importlib.import_module(place)
     assert callable(getattr(module, maker))
@@ -70,7 +70,7 @@ def test_each_kernel_is_there_and_takes_so_many_arguments(kernel: Precompiled) -
 
 
 def test_kernels_are_named_once_and_the_longest_come_first() -> None:
-    named = precompiled()
+    named = signatures()
     assert len(set(named)) == len(named)
     lengths = [sum(len(text) for text in kernel.types) for kernel in named]
     assert lengths == sorted(lengths, reverse=True)

@@ -170,6 +170,46 @@ def test_only_what_a_fall_concerns_is_simulated_while_it_is_tried(monkeypatch: p
         np.testing.assert_allclose(row.settled_pose, partly.settled_pose, atol=1e-3)
 
 
+def test_what_is_restless_in_the_whole_room_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While falls were tried it stayed: the rest of the room slept. What fell beside it stays where it fell."""
+    first, second = (leaning((0.03, 0.3, 0.3), 0.35, (x, 0.0, 0.4)) for x in (-0.3, 0.3))
+    far = ("box", [block((0.2, 0.2, 0.2))], yaw_pose(0.0, [2.0, 0.0, 0.0]))
+    interior, before, after = fallen(SLAB, first, second, far)
+    assert {name for name, _ in after.moves} == {"0001", "0002"}
+    rounds = iter([list(after.moves)])
+    monkeypatch.setattr(falling, "_falling", lambda *_: next(rounds, []))
+    wholes: list[list[Certified]] = []
+
+    def certify_so(*given: Any) -> list[Certified]:
+        """The first one moves where all is awake and the second has fallen, too."""
+        made = certify(*given)
+        if len(given) > 5:
+            return made
+        is_restless = not wholes
+        made = [dataclasses.replace(row, is_stable_1cm=False) if row.name == "0001" and is_restless else row for row in made]
+        wholes.append(made)
+        return made
+
+    monkeypatch.setattr(falling, "certify", certify_so)
+    bodies, _ = bodies_of(interior, [], BodyConfig())
+    made = let_fall(interior, before.poses, before.certified, bodies, {}, Default(), SupportConfig(), CertificateConfig())
+    assert {name for name, _ in made.moves} == {"0002"}
+    assert len(wholes) == 2
+    assert made.certified is wholes[-1]
+
+
+def test_what_is_fixed_is_certified_where_things_fell(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slab that is fixed has no certificate of something that is in it no more."""
+    interior, before, after = fallen(SLAB, leaning((0.1, 0.3, 0.3), 0.6, (0.0, 0.0, 0.4)))
+    bodies, _ = bodies_of(interior, [], BodyConfig())
+    fixed = [dataclasses.replace(body, is_fixed=body.solid.name == "0000") for body in bodies]
+    certified = certify(fixed, before.poses, interior.shell, CertificateConfig())
+    made = let_fall(interior, before.poses, certified, fixed, {}, Default(), SupportConfig(), CertificateConfig())
+    assert {name for name, _ in made.moves} == {"0001"} == {name for name, _ in after.moves}
+    whole = certify(fixed, made.poses, interior.shell, CertificateConfig())
+    assert [repr(row) for row in made.certified] == [repr(row) for row in whole]
+
+
 def test_what_is_hit_is_certified_with_its_neighbors(monkeypatch: pytest.MonkeyPatch) -> None:
     interior, before, _ = fallen(
         SLAB, leaning((0.1, 0.3, 0.3), 0.6, (0.0, 0.0, 0.4)),

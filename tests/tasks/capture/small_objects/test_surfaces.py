@@ -132,6 +132,8 @@ def test_surfaces_are_those_of_whole_arrays(seed: int, h: int, w: int, rough: fl
     some = np.where(rng.random((h, w)) < 0.1, patch, -1)
     assert np.array_equal(surfaces.grown(some, stands, *steps), plain_grown(some, stands, steps))
     assert np.array_equal(surfaces.median_heights(points[..., 2], stands), plain_medians(points[..., 2], stands))
+    every, rest = points[::2, ::2, 2], stands[::2, ::2]
+    assert np.array_equal(surfaces.median_heights(every, rest), plain_medians(every, rest))
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (1, 7), (7, 1), (2, 2), (3, 4)])
@@ -143,3 +145,5 @@ def test_images_smaller_than_a_neighborhood(shape: tuple[int, int]) -> None:
     assert not surfaces.hollows(points, points, everywhere, *steps, 2, 0.5).any()
     assert np.array_equal(surfaces.connected(everywhere, points, *steps, 1.0, 1.0), np.zeros(shape))
     assert np.array_equal(surfaces.median_heights(points[..., 2], everywhere), points[..., 2])
+    seeds = np.where(np.arange(points[..., 0].size).reshape(shape) == 0, 0, -1)
+    assert np.array_equal(surfaces.grown(seeds, everywhere, *steps), np.zeros(shape))

@@ -17,7 +17,8 @@ from tasks.optimization.contacts import penetrations
 from tasks.optimization.search.trace import Move, moved_poses
 from tasks.optimization.shapes import Shapes, Stand, compiled, shapes_of, stand_of
 from tasks.optimization.solids import ConvexParts
-from tasks.optimization.support.tipping import Tip, tip, turn_along
+from tasks.optimization.support.tipping import SUNK_M, Tip, free_turn, tip, turn_along
+from tasks.optimization.support.tipping import compiled as tipping_kernels
 from tests.tasks.optimization.interiors import block, hull, world_vertices
 
 Array = np.ndarray
@@ -264,3 +265,35 @@ def test_what_moves_together_keeps_its_relative_poses(seed: int) -> None:
         assert np.linalg.inv(found[first]) @ found[name] == pytest.approx(np.linalg.inv(poses[first]) @ poses[name], abs=1e-9)
         if first not in {n for n, _ in whole}:
             assert np.array_equal(found[name], poses[name])
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=seeds, least=st.sampled_from([0.0, 3e-5, 1e-3, 0.02]), bodies=st.integers(0, 5))
+def test_what_sinks_is_what_has_a_gap_that_deep(seed: int, least: float, bodies: int) -> None:
+    """Among heaps of blocks, some of them in two pieces, one on, in or beside the other."""
+    rng = np.random.default_rng(seed)
+
+    def thing(name: str) -> ConvexParts:
+        sizes, places = rng.uniform(0.05, 0.3, (2, 3)), rng.uniform(-0.1, 0.1, (2, 3))
+        return ConvexParts(name, tuple(block(tuple(sizes[i]), tuple(places[i])) for i in range(rng.integers(1, 3))))
+
+    heap = [thing(str(i)) for i in range(bodies + 1)]
+    poses = np.array([np.eye(4)] * (bodies + 1))
+    poses[:, :3, :3] = [Rotation.from_euler("zx", (turn, lean)).as_matrix() for turn, lean in rng.normal(0.0, 0.2, (bodies + 1, 2))]
+    poses[:, :3, 3] = np.array([0.0, 0.0, 0.3]) + rng.uniform(-0.2, 0.2, (bodies + 1, 3))
+    shapes = shapes_of(heap, poses)
+    stand = stand_of(shapes, poses[:, :3, 3])
+    among = rng.random(bodies + 1) < 0.8
+    gap, _ = compiled()["least_gap"](shapes, stand, 0, among, SUNK_M)
+    assert tipping_kernels()["sinks"](shapes, stand, 0, among, SUNK_M, least) == (gap < -least)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=seeds, least=st.sampled_from([0.002, 0.01, 0.1, 1.0]))
+def test_an_angle_that_is_not_asked_for_is_only_known_to_be_less(seed: int, least: float) -> None:
+    rng = np.random.default_rng(seed)
+    wall = ConvexParts("wall", (block((0.02, 1.0, 1.0), (rng.uniform(0.1, 0.25), 0.0, 0.0)),))
+    shapes, stand = set_down([block((0.2, 0.2, 0.2))], about((0, 0, 1), rng.uniform(0, 1)), [wall])
+    asked = shapes, stand, 0, np.array([False, True]), np.array([0.1, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), 0.6
+    exact, rough = free_turn(*asked), free_turn(*asked, least)
+    assert rough == exact or max(rough, exact) <= least
