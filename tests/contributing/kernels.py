@@ -1,6 +1,7 @@
 """The kernels that runs call, written down anew after a change of one: `python -m tests.contributing.kernels`.
 
-Rooms of the demo are scanned here and go through all stages, and one is captured as frames alone; each call from Python is written down.
+Rooms of the demo are scanned here and go through all stages, agents act in them, and one is captured as frames alone; each call from
+Python is written down.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from unittest import mock
 from numba.core.dispatcher import Dispatcher
 
 from bench.stages import run_stages
+from flows.inputs.evaluation import run_policy
+from flows.run.configuration import configure
+from schemas.families.policies import POLICIES
 from tasks.kernels import compile_kernels
 from tasks.kernels.ahead import KERNELS, text_of
 from tasks.pipeline import SCENE_STAGES
@@ -78,10 +82,14 @@ def main() -> None:
         scans = [demo_scan(Path(made) / f"scans{index}", index, 0) for index in range(ROOMS)]
         stages = [stage.name for stage in SCENE_STAGES]
         todo = [(scan.parent, stages) for scan in scans] + [(frames_alone(scans[0], Path(made) / "frames"), stages[:1])]
+        lake = Lake.open(str(Path(made) / "lake"))
         for folder, names in todo:
-            staged = run_stages(Lake.open(str(Path(made) / "lake")), folder, names, 1)
+            staged = run_stages(lake, folder, names, 1)
             assert staged.error is None, f"{folder.name}: {staged.stage}: {staged.error}"
             print(f"{folder.name}: {sum(staged.seconds.values()):.0f} s", flush=True)
+        lake.commit()
+        for policy in POLICIES:
+            assert not run_policy(lake, policy, configure()).failed
     KERNELS.write_text(listed(calls))
     print(f"{sum(len(types) for names in calls.values() for types in names.values())} calls in {KERNELS.name}")
 

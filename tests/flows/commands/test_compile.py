@@ -16,15 +16,22 @@ ROOM = """
 import sys
 from pathlib import Path
 from bench.stages import run_stages
+from flows.inputs.evaluation import run_policy
+from flows.run.configuration import configure
+from schemas.families.policies import POLICIES
 from tasks.pipeline import SCENE_STAGES
 from tasks.scanner.demo import demo_scan
 from warehouse.lake import Lake
 
 place = Path(sys.argv[1])
 demo_scan(place / "scans", 0, 5)
-staged = run_stages(Lake.open(str(place / "lake")), place / "scans", [stage.name for stage in SCENE_STAGES], 1)
+lake = Lake.open(str(place / "lake"))
+staged = run_stages(lake, place / "scans", [stage.name for stage in SCENE_STAGES], 1)
 assert staged.error is None, staged
 assert len(staged.seconds) == len(SCENE_STAGES)
+lake.commit()
+for policy in POLICIES:
+    assert not run_policy(lake, policy, configure()).failed
 """
 
 
