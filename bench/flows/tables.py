@@ -130,8 +130,7 @@ def _print_speed(report: Mapping[str, Any], console: Console) -> None:
     for what, runs in (("small scenes", report["speed"]), ("rooms of about 25 objects", report["room_speed"])):
         table = table_of(f"one worker on one core and two, {what}", ("scenes", True), ("workers", True), ("work s", True),
                          ("whole run s", True), ("between stages", True), ("at its ends", True), ("main cpu s", True),
-                         ("others cpu s", True),
-                         ("load", True))  # fmt: skip
+                         ("others cpu s", True), ("load", True))  # fmt: skip
         for run in runs:
             of_workers = run["work_seconds"] * run["workers"]
             add_row(

@@ -81,7 +81,7 @@ def let_fall(
         moves = [move for move in best.moves if move[0] not in restless]
         poses = _poses_after(interior, start, moves)
         if not moves or (restless and _is_met(interior, moves, poses, allowed, method.slop_m)):
-            return start  # it fell to where another one went back to
+            return start  # nothing stays where it fell, or something fell to where another one went back to
         made = certify(bodies, poses, interior.shell, config, spread)
         best = dataclasses.replace(best, poses=poses, moves=tuple(moves), certified=made)
         is_whole = True
@@ -114,8 +114,6 @@ def _certified_after(
     config: CertificateConfig, spread: Spread,
 ) -> Fall:  # fmt: skip
     """Poses after moves from the start, with new certificates of what these or former moves may concern."""
-    if not moves:
-        return start
     poses, unstable = _poses_after(interior, start, moves), _unstable(start.certified)
     moved = {*unstable, *(name for name, _ in moves)}
     seeds = {*concerned, *(i for i, name in enumerate(interior.names) if name in moved)}

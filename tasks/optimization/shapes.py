@@ -284,14 +284,13 @@ def piece_gap(shapes: Shapes, stand: Stand, a: int, b: int, p: int, q: int) -> t
     return lower, raise_
 
 
-def body_gap(shapes: Shapes, stand: Stand, a: int, b: int, reach: float) -> float:
-    """How far body a may be lowered until it stands on body b [m]; negative when it must be raised.
+def body_gap(shapes: Shapes, stand: Stand, a: int, b: int, reach: float, least: float) -> float:
+    """How far body a may be lowered until it stands on body b [m], or `least` where that is less; negative when it must be raised.
 
     Pieces of b that are nearer to being above a piece of a than below it, or overlap it by more than `reach`, do not
     carry it: the board over a book, the side of a shelf.
     """
-    least = np.inf
-    if stand.low[a, 0] >= stand.high[b, 0] or stand.low[b, 0] >= stand.high[a, 0]:
+    if stand.low[a, 2] - stand.high[b, 2] >= least or stand.low[a, 0] >= stand.high[b, 0] or stand.low[b, 0] >= stand.high[a, 0]:
         return least
     if stand.low[a, 1] >= stand.high[b, 1] or stand.low[b, 1] >= stand.high[a, 1] or stand.low[b, 2] >= stand.high[a, 2]:
         return least
@@ -318,7 +317,7 @@ def least_gap(shapes: Shapes, stand: Stand, body: int, among: Any, reach: float)
     least, which = np.inf, -1
     for other in range(len(among)):
         if among[other] and other != body:
-            gap = body_gap(shapes, stand, body, other, reach)
+            gap = body_gap(shapes, stand, body, other, reach, least)
             if gap < least:
                 least, which = gap, other
     return least, which

@@ -259,13 +259,7 @@ def warehouse(scenes: int, seed: int, runs: int, parts: str, as_json: bool) -> N
 @click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Worker processes of every run.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same scenes and kills.")
 @click.option("--parts", default="", help="Measure only these, with commas between: startup, overhead, scene, speed, sharing, chaos.")
-@click.option(
-    "--speed-scenes",
-    type=click.IntRange(4),
-    default=100,
-    show_default=True,
-    help="Scenes for one worker on one core, and two.",
-)
+@click.option("--speed-scenes", type=click.IntRange(4), default=100, show_default=True, help="Scenes for one worker on one core, and two.")
 @click.option("--speed-rooms", type=click.IntRange(2), default=6, show_default=True, help="Rooms of about 25 objects for them.")
 @click.option("--chaos-scenes", type=click.IntRange(1), default=50, show_default=True, help="Scenes of the run that is disturbed.")
 @click.option("--kills", type=click.IntRange(0), default=12, show_default=True, help="How many times something is killed in it.")

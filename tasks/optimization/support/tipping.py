@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tasks.geometry.transforms import rotation_of
 from tasks.kernels import Kernels, compile_kernels
 from tasks.optimization import shapes as geometry
-from tasks.optimization.shapes import Shapes, Stand, pair_depth, piece_gap, span
+from tasks.optimization.shapes import Shapes, Stand, body_gap, pair_depth, piece_gap, span
 
 Array = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -335,25 +335,8 @@ def contact_points(shapes: Shapes, stand: Stand, body: int, among: Any, near: fl
 def sinks(shapes: Shapes, stand: Stand, body: int, among: Any, reach: float, least: float) -> bool:
     """Whether a body is more than `least` [m] in any of the bodies marked in `among`, shape (n,), as `least_gap` measures it."""
     for other in range(len(among)):
-        if not among[other] or other == body or stand.low[body, 2] - stand.high[other, 2] >= -least:
-            continue
-        if stand.low[other, 2] >= stand.high[body, 2]:
-            continue
-        apart = False
-        for k in range(2):
-            apart = apart or stand.low[body, k] >= stand.high[other, k] or stand.low[other, k] >= stand.high[body, k]
-        if apart:
-            continue
-        for p in range(shapes.first_piece[body], shapes.first_piece[body + 1]):
-            for q in range(shapes.first_piece[other], shapes.first_piece[other + 1]):
-                apart = stand.piece_low[p, 2] - stand.piece_high[q, 2] >= -least or stand.piece_low[q, 2] >= stand.piece_high[p, 2]
-                for k in range(2):
-                    apart = apart or stand.piece_low[p, k] >= stand.piece_high[q, k] or stand.piece_low[q, k] >= stand.piece_high[p, k]
-                if apart:
-                    continue
-                lower, raise_ = piece_gap(shapes, stand, body, other, p, q)
-                if raise_ <= lower < -least and lower >= -reach:
-                    return True
+        if among[other] and other != body and body_gap(shapes, stand, body, other, reach, -least) < -least:
+            return True
     return False
 
 

@@ -167,7 +167,7 @@ def test_an_object_that_is_lowered_by_its_gap_touches(seed: int) -> None:
     shapes, stand = two(cloud(rng), cloud(rng), rng, 0.1)
     stand.place[0, 2] += 2.0
     compiled()["bound"](shapes, stand, 0)
-    gap = compiled()["body_gap"](shapes, stand, 0, 1, 0.05)
+    gap = compiled()["body_gap"](shapes, stand, 0, 1, 0.05, np.inf)
     assume(np.isfinite(gap))
     for hair, overlaps in ((1e-5, False), (-1e-3, True)):
         near = stand_of(shapes, stand.place - [[0.0, 0.0, gap - hair], [0.0, 0.0, 0.0]])
