@@ -20,10 +20,10 @@ from typing import Any
 
 import pyarrow as pa
 
+from flows.run.crew import crew_of
 from flows.run.fingerprints import ModuleCaches, annotations_digest
 from flows.run.ledger import FREE, CallRules, LakeLedger
 from flows.run.libraries import NamedLibrary, library_for_worker
-from flows.run.pool import spread_over
 from schemas.errors import InputError, LakeError, RecordError
 from schemas.record import arrow_to_rows, check
 from schemas.runs import StageRun
@@ -80,7 +80,7 @@ def execute(job: Job, spread: Spread | None = None, report: Report = silently) -
     kind: str | None = None
     degradations: tuple[str, ...] = ()
     try:
-        outcome = _kept(stage, job, lake, _computed(stage, job, lake, spread or spread_over(job.processes), report))
+        outcome = _kept(stage, job, lake, _computed(stage, job, lake, spread or crew_of(job.processes), report))
         rows, degradations = outcome.rows, outcome.degradations
     except Exception as problem:
         kind, error = kind_and_text(problem)
@@ -109,7 +109,7 @@ def kind_and_text(problem: Exception) -> tuple[str, str]:
 
 def followed(job: Job, report: Report = silently) -> Outcome:
     """What a stage gives, and nothing kept of it: for processes that take part in a run whose first one keeps its rows."""
-    return _computed(_stage_of(job), job, Lake.open(job.lake), spread_over(job.processes), report)
+    return _computed(_stage_of(job), job, Lake.open(job.lake), crew_of(job.processes), report)
 
 
 def _stage_of(job: Job) -> Stage:

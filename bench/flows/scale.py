@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 STEEP = 1.25
 """An exponent above this is told as growing faster than linearly: a logarithm and what is left of fixed costs stay below it."""
 
+BESIDE = 25
+"""Near-empty scenes that are added to a lake which holds others: a commit's worth."""
+
 _LEAST_SECONDS = 0.5
 """Of the largest size: what takes less is not worth an exponent."""
 
@@ -42,11 +45,13 @@ _LEAST_SECONDS = 0.5
 @dataclasses.dataclass(frozen=True)
 class ScaleBench:
     """What is measured. objects: of one scene. scenes: near-empty ones, of one object each. requests: numbers of such scenes whose lake
-    is in a store of objects, which counts what it is asked. projected: number of scenes that the report goes on to, at `prices`."""
+    is in a store of objects, which counts what it is asked. held: numbers of generated scenes that a lake holds already when `BESIDE`
+    near-empty ones are added. projected: number of scenes that the report goes on to, at `prices`."""
 
     objects: tuple[int, ...] = (100, 300, 1000)
     scenes: tuple[int, ...] = (30, 100, 300)
     requests: tuple[int, ...] = ()
+    held: tuple[int, ...] = ()
     seed: int = 0
     projected: int | None = None
     prices: Prices = dataclasses.field(default_factory=Prices)
@@ -70,6 +75,10 @@ def run_scale_bench(config: ScaleBench, advance: Callable[[str], None] = lambda 
         for size in config.requests:
             report["requests"].append({"size": size} | _measured(Path(work), "requests", size, config.seed))
             advance(f"requests of {size:,} scenes")
+        report["held"] = []
+        for size in config.held:
+            report["held"].append({"size": size} | _beside(Path(work), size, config.seed))
+            advance(f"{BESIDE} scenes beside {size:,}")
     if config.projected is not None:
         report["projection"] = {"scenes": config.projected} | projection(report, config.projected, config.prices)
     steep = [f"{what}: {name}" for what in ("objects", "scenes") for name, power in report[what]["exponents"].items() if power > STEEP]
@@ -93,18 +102,34 @@ def exponents(sizes: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 def _measured(folder: Path, what: str, size: int, seed: int) -> dict[str, Any]:
     """Figures of every stage at one size."""
-    scans, first = folder / f"{what}{size}", folder / "first"
+    scans = folder / f"{what}{size}"
     if what == "objects":
         write_crowded_scan(scans, size, seed)
     else:
         write_small_scans(scans, size, seed)
+    return _measured_apart(folder, scans, "" if what == "requests" else str(folder / f"lake-{what}{size}"), seed)
+
+
+def _beside(folder: Path, held_scenes: int, seed: int) -> dict[str, Any]:
+    """Figures of every stage of `BESIDE` near-empty scenes, in a copy of a generated lake that holds so many of 40 objects."""
+    from bench.warehouse.generator import copied_lake, generated_lake
+
+    scans, original = folder / "beside", generated_lake(held_scenes, seed)
+    if not scans.exists():
+        write_small_scans(scans, BESIDE, seed)
+    with tempfile.TemporaryDirectory(prefix="scale-", dir=Path(original.address).parent) as copies:
+        return _measured_apart(folder, scans, copied_lake(original, Path(copies) / "lake").address, seed)
+
+
+def _measured_apart(folder: Path, scans: Path, lake: str, seed: int) -> dict[str, Any]:
+    """Figures of every stage of these scans, by a process of its own."""
+    first = folder / "first"
     if not first.exists():
         write_crowded_scan(first, 5, seed)
-    lake = "" if what == "requests" else str(folder / f"lake-{what}{size}")
     command = [sys.executable, "-m", "bench.flows.scale", str(first), str(scans), lake]
     done = subprocess.run(command, env=surroundings(folder) | ONE_THREAD, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise LakeError(f"{size} {what}: {(done.stderr.strip().splitlines() or ['it said nothing'])[-1]}")
+        raise LakeError(f"{scans.name}: {(done.stderr.strip().splitlines() or ['it said nothing'])[-1]}")
     figures: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
     return figures
 

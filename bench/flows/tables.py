@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from bench.flows.report import added_share, real_share
 from bench.flows.requests import KINDS
 from bench.flows.runs import PLAIN
+from bench.flows.scale import BESIDE
 from bench.tables import add_row, as_text, goals_table, headline, table_of
 from schemas.wording import noun
 
@@ -56,11 +57,23 @@ def print_scale(report: Mapping[str, Any], console: Console) -> None:
         for name, part in size["stages"].items():
             add_row(table, name, *(f"{part['requests'][kind]:,}" for kind in KINDS))
         console.print(table)
+    if report["held"]:
+        _print_held(report["held"], console)
     if "projection" in report:
         _print_projection(report["projection"], console)
     for size in report["steep"]:
         console.print(f"grows faster than linearly: {size}", markup=False)
     console.print(goals_table(report["goals"]))
+
+
+def _print_held(sizes: Sequence[Mapping[str, Any]], console: Console) -> None:
+    columns = [(f"beside {size['size']:,}: cpu s", True) for size in sizes] + [(f"beside {size['size']:,}: MB", True) for size in sizes]
+    title = f"{BESIDE} near-empty scenes in a lake that holds so many others: processor seconds, most memory"
+    table = table_of(title, ("stage", False), *columns)
+    for name in sizes[-1]["stages"]:
+        parts = [size["stages"][name] for size in sizes]
+        add_row(table, name, *(f"{part['cpu_seconds']:.2f}" for part in parts), *(f"{part['memory_mb']:.0f}" for part in parts))
+    console.print(table)
 
 
 def _print_projection(seen: Mapping[str, float], console: Console) -> None:

@@ -53,13 +53,21 @@ class SceneResult:
     is_spent: bool = False
 
 
+def one_process() -> int:
+    """Processes of a stage where every core has a scene of its own."""
+    return 1
+
+
 class SceneWork:
-    """A scene on its way through its stages. After a worker was lost, `advance` goes on with the stage that it was lost in."""
+    """A scene on its way through its stages. After a worker was lost, `advance` goes on with the stage that it was lost in.
+
+    processes: What each stage may use, asked when it begins.
+    """
 
     def __init__(
         self,
         plan: ScenePlan,
-        processes: int = 1,
+        processes: Callable[[], int] = one_process,
         timeout: float = STAGE_SECONDS,
         calls: CallRules = FREE,
     ) -> None:
@@ -78,7 +86,8 @@ class SceneWork:
         return self.result is not None and not self.result.is_lost
 
     def advance(self, lake: Lake, configuration: Configuration, pool: WorkerPool, around: Around | None = None) -> SceneResult:
-        """Compute what is left of the scene, each stage over at most `processes`. A failure ends the scene, never the run."""
+        """Compute what is left of the scene, each stage over as many processes as there are for it. A failure ends the scene, never the
+        run."""
         try:
             self.result = self._advance(lake, configuration, pool, around or _plainly)
         except PoolStopped:
@@ -93,7 +102,7 @@ class SceneWork:
         progress, scene = current(), self.plan.scan.scene_id
         for step in self.plan.todo[len(self._ran) :]:
             job = job_of(lake, self.plan, step, configuration)
-            job = dataclasses.replace(job, processes=self._processes, attempt=job.attempt + self._lost, calls=self._calls)
+            job = dataclasses.replace(job, processes=self._processes(), attempt=job.attempt + self._lost, calls=self._calls)
             run = around(scene, step.stage, partial(_run_job, lake, job, pool, self._timeout))
             self._seconds += run.seconds
             if run.outcome == "lost" and any(os.strerror(number) in str(run.error) for number in NO_ROOM):

@@ -328,7 +328,7 @@ def test_a_warm_scene_is_timed_by_stage_on_one_core_and_on_two(tmp_path: Path) -
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_scale_is_measured_by_stage(tmp_path: Path) -> None:
-    report = run_scale_bench(ScaleBench(objects=(2,), scenes=(1, 2), requests=(1, 2)), folder=tmp_path)
+    report = run_scale_bench(ScaleBench(objects=(2,), scenes=(1, 2), requests=(1, 2), held=(2, 3)), folder=tmp_path)
     for what, counts in (("objects", (2,)), ("scenes", (1, 2))):
         assert tuple(one["size"] for one in report[what]["sizes"]) == counts
         for one in report[what]["sizes"]:

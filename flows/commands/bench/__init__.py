@@ -290,6 +290,7 @@ def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_
 @click.option("--objects", default="100,300,1000", show_default=True, help="Numbers of objects in one scene, with commas between.")
 @click.option("--scenes", default="30,100,300", show_default=True, help="Numbers of near-empty scenes, with commas between.")
 @click.option("--requests", metavar="NUMBERS", help="Numbers of near-empty scenes whose requests to a store of objects are counted.")
+@click.option("--held", metavar="NUMBERS", help="Numbers of generated scenes in a lake to which near-empty ones are added.")
 @click.option(
     "--project", type=click.IntRange(1), metavar="SCENES", help="What so many near-empty scenes would take; needs two --requests."
 )
@@ -308,6 +309,7 @@ def scale(
     objects: str,
     scenes: str,
     requests: str | None,
+    held: str | None,
     project: int | None,
     prices: tuple[float, float, float, float],
     seed: int,
@@ -332,8 +334,9 @@ def scale(
             "needs two numbers of --requests, to tell what a commit asks from what its scenes add", param_hint="--project"
         )
     numbers = listed_numbers(objects, "--objects"), listed_numbers(scenes, "--scenes")
-    config = ScaleBench(*numbers, counted, seed, project, Prices(*prices))
-    steps = len(config.objects) + len(config.scenes) + len(config.requests)
+    holding = listed_numbers(held, "--held") if held else ()
+    config = ScaleBench(*numbers, counted, holding, seed, project, Prices(*prices))
+    steps = len(config.objects) + len(config.scenes) + len(config.requests) + len(config.held)
     run_measurement("measured", steps, partial(run_scale_bench, config), print_scale, as_json)
 
 

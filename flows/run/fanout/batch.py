@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from flows.run.configuration import Configuration
 from flows.run.fanout.pools import pool_of
 from flows.run.ledger import FREE, CallRules
 from flows.run.plan import ScenePlan
-from flows.run.scene import STAGE_SECONDS, Around, SceneResult, SceneWork
+from flows.run.scene import STAGE_SECONDS, Around, SceneResult, SceneWork, one_process
 from warehouse.lake import Lake
 
 
@@ -25,7 +25,7 @@ class SceneBatch:
         scenes: Sequence[ScenePlan],
         configuration: Configuration,
         *,
-        processes: int = 1,
+        processes: Callable[[], int] = one_process,
         shows_stages: bool = False,
         limits: Mapping[str, str] | None = None,
         timeout: float = STAGE_SECONDS,

@@ -23,7 +23,7 @@ from flows.run.fanout.pools import at_work
 from flows.run.fanout.quota import Quota
 from flows.run.ledger import FREE, CallRules
 from flows.run.plan import Plan, ScenePlan
-from flows.run.scene import STAGE_SECONDS, SceneResult, job_of
+from flows.run.scene import STAGE_SECONDS, SceneResult, job_of, one_process
 from flows.worker import lost_run
 from schemas.text import one_line
 from warehouse.lake import Lake
@@ -176,12 +176,15 @@ class Coordinator:
         return self._outcome.stopped is not None
 
     def _batch(self, scenes: list[ScenePlan]) -> SceneBatch:
-        spare = max(1, self._fan_out.workers // self._scenes)  # with fewer scenes than workers, a scene may use more than one
         return SceneBatch(
-            self.run_id, self._lake, scenes, self._configuration, processes=spare if self._fan_out.runner == "pool" else 1,
+            self.run_id, self._lake, scenes, self._configuration, processes=self._share if self._fan_out.runner == "pool" else one_process,
             shows_stages=self._pace.shows_stages, limits=self._fan_out.limits, timeout=self._fan_out.stage_seconds,
             calls=dataclasses.replace(self._fan_out.calls, run=self.run_id),
         )  # fmt: skip
+
+    def _share(self) -> int:
+        """Processes for a stage that begins now: more than one when fewer scenes are left than there are workers."""
+        return max(1, self._fan_out.workers // max(1, len(self._planned)))
 
     def _results(self, tasks: Tasks, future: Future, batch: SceneBatch, backlog: Backlog) -> list[SceneResult]:
         """Results of a batch. When its worker went with it, its scenes wait again, or are given up."""
