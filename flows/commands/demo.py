@@ -5,13 +5,21 @@ from __future__ import annotations
 import json
 import shlex
 import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from flows.commands.options import json_option, workers_option
 from schemas.families.policies import POLICIES
 from schemas.wording import counted
+
+if TYPE_CHECKING:
+    from flows.outputs.export import WrittenExports
+    from warehouse.lake import Lake
 
 
 @click.command("demo", short_help="Make raw scans of furnished rooms and turn them into replica scenes.")
@@ -30,7 +38,7 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     from flows.commands.run import carry_out, report_line, tell
     from flows.inputs.demo import make_scans
     from flows.inputs.evaluation import run_policy
-    from flows.outputs.export import WrittenExports, write_exports
+    from flows.outputs.export import WrittenExports
     from flows.run.configuration import configure
     from flows.run.plan import make_plan
     from flows.stats import stage_table, write_report
@@ -50,12 +58,13 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     )
     replicated = time.perf_counter() - clock - scanned
     policies = POLICIES if lake.snapshot().arrow("episodes").num_rows else ()
-    unmeasured = [line for policy in policies for line in run_policy(lake, policy, configuration).failed]
     has_exports = lake.snapshot().arrow("export_files").num_rows > 0  # else the run says what failed
-    written = write_exports(lake, out) if has_exports else WrittenExports(0, (), ())
     places = places_in(out)
     is_viewed = is_built() and lake.snapshot().arrow("scenes").num_rows > 0  # else there is nothing to show, or nothing to show it with
-    write_report(lake, places["report"], pages=out / "view" if is_viewed else None)
+    with exporting(lake, out, workers) if has_exports else nullcontext(lambda: WrittenExports(0, (), ())) as finish:
+        unmeasured = [line for policy in policies for line in run_policy(lake, policy, configuration).failed]
+        write_report(lake, places["report"], pages=out / "view" if is_viewed else None, workers=workers)
+        written = finish()
     if as_json:
         print(json.dumps({"failures": report.failures, "seconds": time.perf_counter() - clock, **{k: str(v) for k, v in places.items()}}))
     else:
@@ -76,6 +85,20 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
         click.echo(f"failed: {line}", err=True)
     if report.failures or written.problems or unmeasured:
         raise click.exceptions.Exit(1)
+
+
+@contextmanager
+def exporting(lake: Lake, out: Path, workers: int) -> Iterator[Callable[[], WrittenExports]]:
+    """``with exporting(lake, out, 2) as finish: ...; written = finish()``: exports are written and checked meanwhile, in a process
+    of their own where there is more than one worker."""
+    from flows.outputs.export import write_exports
+    from flows.run.pool import WorkerPool
+
+    if workers < 2:
+        yield lambda: write_exports(lake, out)
+        return
+    with ThreadPoolExecutor(1) as threads, WorkerPool(1) as pool:
+        yield threads.submit(pool.call, write_exports, lake, out).result
 
 
 def places_in(out: Path) -> dict[str, Path]:

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -87,15 +88,22 @@ def _finished(walk: Walk, root: str) -> Lineage:
 
 def settings_of(run: RunFacts) -> tuple[str, ...] | None:
     """What a run was told otherwise than by default, as ``field=value (default value)``; None when this version has no such config."""
+    usual = _usual(run.stage)
+    if usual is None or not isinstance(run.config, dict) or run.config.get("type") != usual[0]:
+        return None
+    recorded = dict(_flat(run.config))
+    changed = [name for name in {**recorded, **usual[1]} if recorded.get(name) != usual[1].get(name)]
+    return tuple(f"{name}={recorded.get(name, 'none')} (default {usual[1].get(name, 'none')})" for name in changed)
+
+
+@cache
+def _usual(stage: str) -> tuple[Any, dict[str, str]] | None:
+    """Type and leaves of a stage's default config; None where this version has no such stage."""
     from flows.run.configuration import configure
 
-    defaults = configure().stages
-    default = canonical(defaults[run.stage]) if run.stage in defaults else None
-    if default is None or not isinstance(run.config, dict) or run.config.get("type") != default.get("type"):
-        return None
-    recorded, usual = dict(_flat(run.config)), dict(_flat(json.loads(json.dumps(default))))
-    changed = [name for name in {**recorded, **usual} if recorded.get(name) != usual.get(name)]
-    return tuple(f"{name}={recorded.get(name, 'none')} (default {usual.get(name, 'none')})" for name in changed)
+    config = configure().stages.get(stage)
+    default = json.loads(json.dumps(canonical(config))) if config is not None else None
+    return (default.get("type"), dict(_flat(default))) if default is not None else None
 
 
 def _flat(value: Any, name: str = "") -> Iterator[tuple[str, str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
@@ -81,31 +81,31 @@ def write_report(
     answers = answers_of(reader)
     rasters = rasters or pictures is not None
     charts: list[Picture] = []
-    scenes, tiles, strips, walks, drives = _pictured(
-        lake, reader.snapshot_id, answers, look, workers, advance, expect, meanwhile=lambda: charts.extend(draw_charts(answers, rasters))
-    )
+    pictured = _pictured(
+        lake, reader.snapshot_id, answers, look, pages, workers, advance, expect,
+        meanwhile=lambda: charts.extend(draw_charts(answers, rasters)),
+    )  # fmt: skip
     path = report_path(out)
-    linked = _pages(lake, reader.snapshot_id, list(scenes), pages, workers) if pages is not None else {}
     content = ReportContent(
         answers=answers.rows,
         totals=answers.totals,
         queries=[Query(view.name, view.question, view.note, view.query) for view in views()],
         pictures=charts,
-        scenes=scenes,
-        tiles=tiles,
-        strips=strips,
-        walks=walks,
-        drives=drives,
+        scenes=pictured.scenes,
+        tiles=pictured.tiles,
+        strips=pictured.strips,
+        walks=pictured.walks,
+        drives=pictured.drives,
         picture_size=(look.width, look.height),
         stages=STAGES,
         snapshot_id=reader.snapshot_id,
         snapshot_time=f"{reader.snapshot.created_at:%Y-%m-%d %H:%M} UTC" if reader.snapshot else "",
         releases=[release.name for release in reader.releases if release.snapshot_id == reader.snapshot_id],
         code_version=_code_version(),
-        pages={scene: quote(Path(os.path.relpath(page, path.parent)).as_posix()) for scene, page in linked.items()},
+        pages={scene: quote(Path(os.path.relpath(page, path.parent)).as_posix()) for scene, page in pictured.pages.items()},
     )
     write_whole(path, render_report(content).encode())
-    drawn = [*charts, *_sheets(answers, tiles, strips)] if rasters else []
+    drawn = [*charts, *_sheets(answers, pictured.tiles, pictured.strips)] if rasters else []
     files = []
     if pictures is not None:
         for chart in drawn:
@@ -172,13 +172,27 @@ def draw_charts(answers: Answers, rasters: bool = True) -> list[Picture]:
     return [chart for chart in drawn if chart is not None]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Pictured:
+    """What workers drew: scenes by id, or why not; both galleries, stills of walks and of carts, and the files of scenes in 3D."""
+
+    scenes: dict[str, ScenePictures | str]
+    tiles: list[SceneTile]
+    strips: list[CandidateStrip]
+    walks: list[WalkStrip]
+    drives: list[DriveStill]
+    pages: dict[str, Path]
+
+
 def _pictured(
-    lake: Lake, snapshot_id: int, answers: Answers, look: PictureConfig, workers: int | None, advance: Callable[[str], None] | None,
-    expect: Callable[[int], None] | None, meanwhile: Callable[[], None],
-) -> tuple[dict[str, ScenePictures | str], list[SceneTile], list[CandidateStrip], list[WalkStrip], list[DriveStill]]:  # fmt: skip
-    """Pictures of the first scenes, both galleries, and stills of walks and of carts; `meanwhile` is called while workers draw."""
+    lake: Lake, snapshot_id: int, answers: Answers, look: PictureConfig, pages: Path | None, workers: int | None,
+    advance: Callable[[str], None] | None, expect: Callable[[int], None] | None, meanwhile: Callable[[], None],
+) -> _Pictured:  # fmt: skip
+    """Pictures of the first scenes, both galleries, stills of walks and of carts, and the files of scenes in 3D, without those that cannot
+    be made; `meanwhile` is called while workers draw."""
     from flows.progress import Progress
     from flows.stats.pictures import forget_old
+    from flows.view.standalone import write_page_of
     from tasks.stats.thumbnails import scene_tile
 
     shown = answers.scenes
@@ -191,37 +205,34 @@ def _pictured(
     jobs |= {name: (walk_strip_of, (lake, snapshot_id, row)) for name, row in walks.items()}
     drives = {"drive {batch_id} {scene_id} {episode_id}".format(**row): row for row in answers.rows["robot_runs.shown"].to_pylist()}
     jobs |= {name: (drive_still_of, (lake, snapshot_id, row)) for name, row in drives.items()}
+    files = _page_files(shown.pictured, pages) if pages is not None else {}
+    anew: dict[Any, Job] = {f"page {scene}": (write_page_of, (lake, snapshot_id, scene, file)) for scene, file in files.items()}
     if expect is not None:
-        expect(len(jobs))
-    with Progress("pictures", len(jobs), lines=True) as progress:
+        expect(len(jobs) + len(anew))
+    with Progress("pictures", len(jobs) + len(anew), lines=True) as progress:
 
         def tell(name: str) -> None:
             progress.advance(name)
             if advance is not None:
                 advance(name)
 
-        made = carried_out(jobs, workers, tell, meanwhile)
+        made = carried_out(jobs, workers, tell, meanwhile, anew)
     forget_old()
     tiles = [scene_tile(scene, made[scene]) for scene in shown.gallery]
     objects_shown, walks_shown, drives_shown = (
         [made[name] for name in names if not isinstance(made[name], str)] for names in (strips, walks, drives)
     )
-    return {scene: made[scene] for scene in shown.pictured}, tiles, objects_shown, walks_shown, drives_shown
+    linked = {scene: file for scene, file in files.items() if isinstance(made[f"page {scene}"], int)}
+    return _Pictured({scene: made[scene] for scene in shown.pictured}, tiles, objects_shown, walks_shown, drives_shown, linked)
 
 
-def _pages(lake: Lake, snapshot_id: int, scenes: Sequence[str], folder: Path, workers: int | None) -> dict[str, Path]:
-    """Pages of scenes in 3D, by scene; without those that cannot be made."""
-    from flows.progress import Progress
+def _page_files(scenes: Iterable[str], folder: Path) -> dict[str, Path]:
+    """Where the pages of scenes in 3D are written, by scene."""
     from flows.view.bundle import client_file
-    from flows.view.standalone import write_page_of
     from tasks.exports.bodies import stem
 
     client_file("view.html")  # before workers are started: it may not have been built
-    files = {scene: folder / f"{stem(scene)}.html" for scene in scenes}
-    jobs: dict[Any, Job] = {scene: (write_page_of, (lake, snapshot_id, scene, file)) for scene, file in files.items()}
-    with Progress("pages", len(jobs), lines=True) as progress:
-        made = carried_out(jobs, workers, progress.advance)
-    return {scene: file for scene, file in files.items() if isinstance(made[scene], int)}
+    return {scene: folder / f"{stem(scene)}.html" for scene in scenes}
 
 
 def _sheets(answers: Answers, tiles: Sequence[SceneTile], strips: Sequence[CandidateStrip]) -> list[Picture]:

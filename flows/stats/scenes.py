@@ -200,18 +200,20 @@ def _drive_still(lake: Lake, reader: Reader, row: Mapping[str, Any]) -> DriveSti
 
 
 def carried_out(
-    jobs: Mapping[Any, Job], workers: int | None, advance: Callable[[str], None], meanwhile: Callable[[], None] | None = None
-) -> dict[Any, Any]:
+    jobs: Mapping[Any, Job], workers: int | None, advance: Callable[[str], None], meanwhile: Callable[[], None] | None = None,
+    anew: Mapping[Any, Job] | None = None,
+) -> dict[Any, Any]:  # fmt: skip
     """The result of each job by its key; of one that failed the reason, a text. One worker means this process.
 
-    What is remembered is looked up here: no worker is started for it. `meanwhile` is called once, while workers are at theirs.
+    What is remembered is looked up here: no worker is started for it. `meanwhile` is called once, while workers are at theirs. `anew` are
+    jobs of which nothing is remembered.
     """
     made = {key: known for key, job in jobs.items() if (known := _remembered(job)) is not None}
     for key in made:
         advance(str(key))
-    left = {key: job for key, job in jobs.items() if key not in made}
+    left = {**(anew or {}), **{key: job for key, job in jobs.items() if key not in made}}
     made |= _drawn(left, min(workers or min(os.cpu_count() or 1, 4), len(left)), advance, meanwhile)
-    return {key: made[key] for key in jobs}
+    return {key: made[key] for key in (*jobs, *(anew or ()))}
 
 
 def _remembered(job: Job) -> Any:
