@@ -135,14 +135,15 @@ def _fingerprint_of(module: str) -> str:
         if path is None or name in seen or name in MECHANISM:
             continue
         seen[name] = path
-        queue.extend(_imports(path))
+        queue.extend(_code(path)[0])
     folders = sorted({path.parent for path in seen.values() if path.parent.parent != ROOT})
     data = [p for folder in folders for p in sorted(folder.iterdir()) if p.suffix in DATA]
-    parts = [f"{name}={_code_hash(path)}" for name, path in sorted(seen.items())]
+    parts = [f"{name}={_code(path)[1]}" for name, path in sorted(seen.items())]
     parts += [f"{p.relative_to(ROOT)}={hashlib.sha256(p.read_bytes()).hexdigest()}" for p in data]
     return digest(*parts)
 
 
+@cache
 def _module_file(name: str) -> Path | None:
     """The file of a module of ours, or None when it is somebody else's."""
     if name.split(".")[0] not in ROOMS:
@@ -155,22 +156,34 @@ def _module_file(name: str) -> Path | None:
 
 
 @cache
-def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text())
+def _code(path: Path) -> tuple[tuple[str, ...], str]:
+    """Modules named by the import statements of a file, with the packages that they lie in, and the hash of its code. The tree itself is
+    let go: hundreds of them would cost the garbage collector more than parsing does."""
+    tree = ast.parse(path.read_text())
+    imports = _imports(tree)
+    return imports, _code_hash(tree)
 
 
-@cache
-def _imports(path: Path) -> list[str]:
-    """Modules named by the import statements of a file, with the packages that they lie in."""
-    names, sources = [], _sources(path)
-    for node in ast.walk(_tree(path)):
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """All statements inside one, at any depth: a tenth of its nodes."""
+    for field in ("body", "handlers", "cases", "orelse", "finalbody"):
+        children = getattr(node, field, None)
+        for child in children if isinstance(children, list) else ():  # a lambda's or a condition's is an expression
+            yield child
+            yield from _statements(child)
+
+
+def _imports(tree: ast.Module) -> tuple[str, ...]:
+    names, sources = [], _sources(tree)
+    has_members = MEMBERS in sources.values()  # whose calls may stand anywhere; else only statements are of interest
+    for node in ast.walk(tree) if has_members else _statements(tree):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and sources.get(node.func.id) == MEMBERS:
             names += _members(node, sources)
-    return [*names, *(name.rpartition(".")[0] for name in names)]
+    return (*names, *(name.rpartition(".")[0] for name in names))
 
 
 MEMBERS = ("tasks.families", "members")
@@ -186,23 +199,21 @@ def _members(call: ast.Call, sources: Mapping[str, tuple[str, str]]) -> list[str
     package, names = (ast.unparse(argument) for argument in call.args[:2])
     module, variable = sources.get(names, ("", ""))
     file = _module_file(module)
-    for node in _tree(file).body if file is not None else ():
+    for node in ast.parse(file.read_text()).body if file is not None else ():
         if isinstance(node, ast.Assign) and [ast.unparse(target) for target in node.targets] == [variable]:
             return [f"{ast.literal_eval(package)}.{name}" for name in ast.literal_eval(node.value)]
     raise ValueError(f"{ast.unparse(call)}: names must be imported from the module that spells them out")
 
 
-def _sources(path: Path) -> dict[str, tuple[str, str]]:
+def _sources(tree: ast.Module) -> dict[str, tuple[str, str]]:
     """Where the names come from that a file imports at its top: module, and name there."""
-    imports = [node for node in _tree(path).body if isinstance(node, ast.ImportFrom)]
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
     return {alias.asname or alias.name: (node.module or "", alias.name) for node in imports for alias in node.names}
 
 
-@cache
-def _code_hash(path: Path) -> str:
+def _code_hash(tree: ast.Module) -> str:
     """Hash of a file's code: parsed and printed again, docstrings left out."""
-    tree = _tree(path)
-    for node in ast.walk(tree):
+    for node in [tree, *_statements(tree)]:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             body = node.body
             if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant) and isinstance(body[0].value.value, str):

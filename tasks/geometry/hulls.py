@@ -9,12 +9,14 @@ Coplanar is judged a hundred times closer than PhysX does, so it never counts mo
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.geometry.triangles import enclosed_volume, face_planes
+from tasks.kernels import Kernels, compile_kernels
 
 Array = NDArray[np.float64]
 
@@ -68,22 +70,25 @@ REDUCED = Complexity(62, 58, 29, 29)
 
 def hull_of(points: Array) -> Hull:
     """Convex hull with outward triangles; the same points give the same hull."""
+    return _hull_and_planes(points)[0]
+
+
+def _hull_and_planes(points: Array) -> tuple[Hull, Array]:
+    """The hull of points, and the planes of its triangles: normals outwards and offsets [m], shape (m, 4)."""
     from scipy.spatial import ConvexHull
 
     convex = ConvexHull(points, qhull_options="QJ Pp" if len(points) < 5 else "Qt Pp")
     used = np.sort(convex.vertices)
+    vertices = np.ascontiguousarray(points[used], dtype=np.float64)
+    planes = np.ascontiguousarray(convex.equations)
     index = np.full(len(points), -1, dtype=np.int64)
     index[used] = np.arange(len(used))
-    faces = index[convex.simplices.astype(np.int64)]
-    vertices = np.ascontiguousarray(points[used])
-    corners = vertices[faces]
-    inward = np.einsum("ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), convex.equations[:, :3]) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    if len(np.unique(edges @ [len(vertices), 1])) < len(edges):
+    faces = index[convex.simplices]
+    if _compiled()["_face_outwards"](vertices, faces, planes):
+        corners = vertices[faces]
         areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         faces = _wound_alike(faces, int(areas.argmax()))
-    return Hull(vertices, faces)
+    return Hull(vertices, faces), planes
 
 
 def _wound_alike(faces: NDArray[np.int64], first: int) -> NDArray[np.int64]:
@@ -127,11 +132,9 @@ def complexity(hull: Hull, coplanar: float = COPLANAR) -> Complexity:
 
     coplanar: Share of the hull's diagonal, up to which triangles lie in one plane; see `COPLANAR`.
     """
-    polygon = _polygon_of(hull, coplanar)
-    count = int(polygon.max()) + 1
-    corners = np.unique(np.column_stack([np.repeat(polygon, 3), hull.faces.ravel()]), axis=0)
-    most = [int(np.bincount(corners[:, column]).max()) for column in (0, 1)]
-    return Complexity(len(hull.vertices), count, most[0], most[1])
+    tolerance = coplanar * float(np.linalg.norm(np.ptp(hull.vertices, axis=0)))
+    vertices, faces = np.ascontiguousarray(hull.vertices, dtype=np.float64), np.ascontiguousarray(hull.faces, dtype=np.int64)
+    return Complexity(len(hull.vertices), *map(int, _compiled()["_counted"](vertices, faces, tolerance)))
 
 
 def is_within(hull: Hull, limits: Complexity = LIMITS) -> bool:
@@ -149,28 +152,89 @@ def are_few(count: int, limits: Complexity = LIMITS) -> bool:
     return count <= min(limits.vertices, limits.polygons // 2 + 2, limits.corners, limits.meeting)
 
 
-def _polygon_of(hull: Hull, coplanar: float) -> NDArray[np.int64]:
-    """The polygon that each triangle of a hull belongs to, shape (m,)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+@cache
+def _compiled() -> Kernels:
+    return compile_kernels(_cross, _face_outwards, _reach, _root, _counted)
 
-    count = len(hull.faces)
-    edges = np.sort(np.concatenate([hull.faces[:, [0, 1]], hull.faces[:, [1, 2]], hull.faces[:, [2, 0]]]), axis=1)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    first, second = order[::2] % count, order[1::2] % count  # closed: every edge has two triangles
-    corners = hull.vertices[hull.faces]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(crosses, axis=1)
-    normals = crosses / np.maximum(lengths, 1e-300)[:, None]
-    tolerance = coplanar * float(np.linalg.norm(np.ptp(hull.vertices, axis=0)))
 
-    def off(a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
-        return np.asarray(np.abs(np.einsum("nd,nkd->nk", normals[a], corners[b] - corners[a][:, :1])).max(axis=1))
+def _cross(vertices: Any, face: Any) -> tuple[float, float, float]:
+    """Normal of a triangle, as long as twice its area."""
+    a, b, c = face[0], face[1], face[2]
+    ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
-    flat = np.minimum(lengths[first], lengths[second]) <= tolerance**2  # a triangle without area is part of either neighbor
-    together = flat | (np.maximum(off(first, second), off(second, first)) <= tolerance)
-    graph = coo_array((np.ones(together.sum()), (first[together], second[together])), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+def _face_outwards(vertices: Any, faces: Any, planes: Any) -> bool:
+    """Turn the triangles of a hull by the outward normals of their planes; whether some still disagree with a neighbor."""
+    edges = np.empty(3 * len(faces), dtype=np.int64)
+    for f in range(len(faces)):
+        x, y, z = _cross(vertices, faces[f])
+        if x * planes[f, 0] + y * planes[f, 1] + z * planes[f, 2] < 0:
+            faces[f, 0], faces[f, 2] = faces[f, 2], faces[f, 0]
+        for k in range(3):
+            edges[3 * f + k] = faces[f, k] * len(vertices) + faces[f, (k + 1) % 3]
+    edges.sort()
+    for k in range(1, len(edges)):
+        if edges[k] == edges[k - 1]:
+            return True
+    return False
+
+
+def _reach(normal: Any, vertices: Any, foot: int, face: Any) -> float:
+    """How far the corners of a triangle lie off the plane through a vertex [m]."""
+    most = 0.0
+    for k in range(3):
+        away = 0.0
+        for d in range(3):
+            away += normal[d] * (vertices[face[k], d] - vertices[foot, d])
+        most = max(most, abs(away))
+    return most
+
+
+def _root(parent: Any, item: int) -> int:
+    while parent[item] != item:
+        parent[item] = parent[parent[item]]
+        item = parent[item]
+    return item
+
+
+def _counted(vertices: Any, faces: Any, tolerance: float) -> tuple[int, int, int]:
+    """Polygons of a closed hull, most corners of one, most that meet at a vertex. Triangles are one polygon when each lies in the plane of
+    the other up to `tolerance` [m]; one without area is part of either neighbor."""
+    count, size = len(faces), len(vertices)
+    normals, lengths = np.empty((count, 3)), np.empty(count)
+    edges = np.empty(3 * count, dtype=np.int64)
+    for f in range(count):
+        x, y, z = _cross(vertices, faces[f])
+        lengths[f] = np.sqrt(x * x + y * y + z * z)
+        least = max(lengths[f], 1e-300)
+        normals[f, 0], normals[f, 1], normals[f, 2] = x / least, y / least, z / least
+        for k in range(3):
+            a, b = faces[f, k], faces[f, (k + 1) % 3]
+            edges[k * count + f] = min(a, b) * size + max(a, b)
+    parent = np.arange(count)
+    order = np.argsort(edges, kind="mergesort")
+    for k in range(0, len(order) - 1, 2):  # closed: every edge has two triangles
+        f, g = order[k] % count, order[k + 1] % count
+        if (
+            min(lengths[f], lengths[g]) <= tolerance * tolerance
+            or max(_reach(normals[f], vertices, faces[f, 0], faces[g]), _reach(normals[g], vertices, faces[g, 0], faces[f])) <= tolerance
+        ):
+            parent[_root(parent, f)] = _root(parent, g)
+    polygons, corners = 0, np.empty(3 * count, dtype=np.int64)
+    for f in range(count):
+        polygon = _root(parent, f)
+        polygons += polygon == f
+        for k in range(3):
+            corners[3 * f + k] = polygon * size + faces[f, k]
+    corners.sort()
+    of_polygon, at_vertex = np.zeros(count, dtype=np.int64), np.zeros(size, dtype=np.int64)
+    for k in range(len(corners)):
+        if k == 0 or corners[k] != corners[k - 1]:
+            of_polygon[corners[k] // size] += 1
+            at_vertex[corners[k] % size] += 1
+    return polygons, of_polygon.max(), at_vertex.max()
 
 
 def reduced(hull: Hull, limits: Complexity = REDUCED) -> Hull:
@@ -186,26 +250,27 @@ def reduced(hull: Hull, limits: Complexity = REDUCED) -> Hull:
     cloud = hull.vertices
     chosen, left, refused = _solid(cloud, _outermost(cloud)), np.ones(len(cloud), dtype=bool), 0
     left[chosen] = False
+    made: Hull | None = None
+    planes = np.zeros((0, 4))
     while left.any() and refused < _REFUSALS and len(chosen) < limits.vertices:
-        planes = ConvexHull(cloud[chosen], qhull_options="QJ Pp" if len(chosen) < 5 else "Qt Pp").equations
+        if not len(planes):
+            planes = ConvexHull(cloud[chosen], qhull_options="QJ Pp" if len(chosen) < 5 else "Qt Pp").equations
         beyond = np.where(left, (cloud @ planes[:, :3].T + planes[:, 3]).max(axis=1), -np.inf)
         if beyond.max() <= 1e-9:
             break
         farthest = int(beyond.argmax())
         left[farthest] = False
-        if are_few(len(chosen) + 1, limits) or stays_within(_of(cloud, [*chosen, farthest]), limits):
+        grown, its_planes = _hull_and_planes(cloud[sorted([*chosen, farthest])])
+        if are_few(len(chosen) + 1, limits) or stays_within(grown, limits):
             chosen.append(farthest)
+            made, planes = grown, its_planes
         else:
             refused += 1
-    return _of(cloud, chosen)
+    return made if made is not None else hull_of(cloud[sorted(chosen)])
 
 
 _REFUSALS = 2
 """Vertices that would make too many faces, one after another, until no other is tried."""
-
-
-def _of(cloud: Array, chosen: list[int]) -> Hull:
-    return hull_of(cloud[sorted(chosen)])
 
 
 def _solid(cloud: Array, chosen: list[int]) -> list[int]:

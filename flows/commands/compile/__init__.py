@@ -24,10 +24,14 @@ def command(workers: int, as_json: bool) -> None:
     Example: metascenes compile
     """
     from flows.progress import Progress
+    from flows.run.fingerprints import code_fingerprint
     from flows.run.pool import spread_over
     from tasks.kernels.ahead import compile_ahead, signatures
+    from tasks.pipeline import MODULES
 
     clock, kernels = time.perf_counter(), signatures()
+    for module in MODULES.values():  # what every plan asks for; it is remembered
+        code_fingerprint(module)
     with Progress("compiling", len(kernels)) as progress:
         made = sum(spread_over(workers, lambda _done, _of: progress.advance())(compile_ahead, kernels))
     seconds = time.perf_counter() - clock
