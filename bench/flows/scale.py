@@ -176,12 +176,14 @@ def _peak_mb() -> float:
 
 
 def through(scans: Path, address: str | Path, meter: _Meter) -> dict[str, Any]:
-    """All stages of all scans, one after another in this process, and the plan, the commit and a look at the lake; what the lake holds.
+    """All stages of all scans, one after another in this process, the plan, and commits of as many scenes as a run lets wait at most;
+    what the lake holds.
 
     Raises:
         LakeError: a stage failed.
     """
     from flows.run.configuration import configure
+    from flows.run.fanout.committer import MANY_SCENES
     from flows.run.plan import make_plan
     from flows.run.scene import job_of
     from flows.worker import execute
@@ -191,12 +193,15 @@ def through(scans: Path, address: str | Path, meter: _Meter) -> dict[str, Any]:
     lake, configuration = Lake.open(address), configure(None, SETTINGS)
     scan_list, unusable = find_scans(scans)
     plan = meter.of("plan", lambda: make_plan(lake, scan_list, unusable, configuration))
-    for scene in plan.todo:
+    for number, scene in enumerate(plan.todo, start=1):
         for step in scene.todo:
             run = meter.of(step.stage, lambda scene=scene, step=step: execute(job_of(lake, scene, step, configuration)))  # type: ignore[misc]
             if run.outcome != "done":
                 raise LakeError(f"{run.scene_id}: {run.stage}: {run.error}")
-    meter.of("commit", lambda: lake.commit("scale"))
+        if number % MANY_SCENES == 0:
+            meter.of("commit", lambda: lake.commit("scale"))
+    if len(plan.todo) % MANY_SCENES:
+        meter.of("commit", lambda: lake.commit("scale"))
     meter.of("plan again", lambda: make_plan(lake, scan_list, unusable, configuration))
     return held(lake)
 
