@@ -125,8 +125,8 @@ def _retrieval(library: OpenLibrary | Path | None, context: Context, config: Can
     return Retrieval(library, config.search, config.encoder) if library is not None else None
 
 
-PARTS = 8
-"""Parts that a scene's objects are dealt out to, for as many cores as there are: few enough that what all share may go with each."""
+PARTS = 32
+"""Parts that a scene's objects are dealt out to, for as many cores as there are: small enough that none is waited for long at the end."""
 
 Slotted = list[tuple[Candidate, MadeAsset | None]]
 

@@ -175,10 +175,7 @@ def _face_outwards(vertices: Any, faces: Any, planes: Any) -> bool:
         for k in range(3):
             edges[3 * f + k] = faces[f, k] * len(vertices) + faces[f, (k + 1) % 3]
     edges.sort()
-    for k in range(1, len(edges)):
-        if edges[k] == edges[k - 1]:
-            return True
-    return False
+    return bool((edges[1:] == edges[:-1]).any())
 
 
 def _reach(normal: Any, vertices: Any, foot: int, face: Any) -> float:

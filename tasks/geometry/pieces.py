@@ -119,7 +119,8 @@ def cut_ahead(assets: Sequence[Uncut], config: PieceConfig, cache: MutableMappin
         if (asset.asset_id, asset.has_pieces, config) not in _memo and key not in cache:
             with contextlib.suppress(KeyError, InputError):  # a blob that is missing or damaged
                 missing[key] = (*asset.glbs(), config, asset.file)
-    for key, packed in zip(missing, spread(_packed_pieces, list(missing.values())), strict=True):
+    longest = sorted(missing, key=lambda key: (missing[key][1] is not None, -len(missing[key][0])))  # first: nobody waits for it at the end
+    for key, packed in zip(longest, spread(_packed_pieces, [missing[key] for key in longest]), strict=True):
         if packed is not None:
             cache[key] = packed
 
