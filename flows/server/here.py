@@ -14,9 +14,9 @@ from schemas.errors import LakeError
 def result_here(load: Callable[[], Any], progress: Progress, parameters: dict[str, Any]) -> tuple[Any, Callable[[], LakeError | None]]:
     """The result of the flow that `load` imports, or the error that it ended with; and what to say of that where the server is to blame.
 
-    `progress` shows how far it is. Prefect is not imported before its server is there.
+    `progress` shows how far it is. Prefect is imported while its server starts.
     """
-    with progress, prefect_server() as api:
+    with progress, prefect_server(load) as api:
         listen(progress)
         try:
             state = load()(**parameters, return_state=True)

@@ -20,7 +20,7 @@ import tempfile
 import time
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import IO, Any
 
 from flows.server.access import (
@@ -61,10 +61,11 @@ NAMED = {name: value for name, value in QUIET.items() if "LOGGING" not in name} 
 
 
 @contextlib.contextmanager
-def prefect_server() -> Iterator[str]:
+def prefect_server(meanwhile: Callable[[], object] = lambda: None) -> Iterator[str]:
     """A Prefect API to talk to: the one that PREFECT_API_URL names, else one of our own for as long as this lasts.
 
-    Must be entered before Prefect is imported. Gives the address.
+    Must be entered before Prefect is imported, which `meanwhile` may do: it is called once while a server of our own starts, when its
+    address is known already. Gives the address.
 
     Raises:
         LakeError: the server did not start, or the one that is named does not answer as one, refuses our token, or leaves what
@@ -102,8 +103,9 @@ def prefect_server() -> Iterator[str]:
             )
         address = f"http://127.0.0.1:{port}/api"
         try:
-            _wait_until_healthy(process, address, log)
             os.environ |= {"PREFECT_API_URL": address, CLIENT_TOKEN: token}
+            meanwhile()
+            _wait_until_healthy(process, address, log)
             yield address
         finally:
             for name in ("PREFECT_API_URL", CLIENT_TOKEN):
