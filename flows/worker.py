@@ -15,12 +15,11 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from flows.run.crew import crew_of
+from flows.run.crew import crew_of, place_of
 from flows.run.fingerprints import ModuleCaches, annotations_digest
 from flows.run.ledger import FREE, CallRules, LakeLedger
 from flows.run.libraries import NamedLibrary, library_for_worker
@@ -295,15 +294,7 @@ def _passes(error: Exception) -> bool:
     return is_away(error) or (isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT))
 
 
-def _below_root(file: Path) -> str:
-    """A file of ours from its room on; many are called `__init__.py`."""
-    root = Path(__file__).parents[1]
-    return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
-
-
 def _one_line(error: BaseException) -> str:
     """An unexpected error as one line with the place in our code that it came from."""
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent.name]
-    ours = [f for f in frames if "/tasks/" in f.filename or "/warehouse/" in f.filename or "/flows/" in f.filename]
-    place = f" at {_below_root(Path(ours[-1].filename))}:{ours[-1].lineno}" if ours else ""
+    place = f" at {where}" if (where := place_of(error)) else ""
     return f"{type(error).__name__}: {one_line(error)[:500]}{place}"

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -89,16 +90,25 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
 
 @contextmanager
 def exporting(lake: Lake, out: Path, workers: int) -> Iterator[Callable[[], WrittenExports]]:
-    """``with exporting(lake, out, 2) as finish: ...; written = finish()``: exports are written and checked meanwhile, in a process
-    of their own where there is more than one worker."""
+    """``with exporting(lake, out, 2) as finish: ...; written = finish()``: exports of the newest snapshot are written and checked
+    meanwhile, in a process of their own where there is more than one worker."""
     from flows.outputs.export import write_exports
-    from flows.run.pool import WorkerPool
+    from flows.run.pool import WorkerLost, WorkerPool
 
+    here = partial(write_exports, lake, out, snapshot_id=lake.snapshot().snapshot_id)
     if workers < 2:
-        yield lambda: write_exports(lake, out)
+        yield here
         return
     with ThreadPoolExecutor(1) as threads, WorkerPool(1) as pool:
-        yield threads.submit(pool.call, write_exports, lake, out).result
+        there = threads.submit(pool.call, here)
+
+        def finish() -> WrittenExports:
+            try:
+                return there.result()
+            except WorkerLost:
+                return here()
+
+        yield finish
 
 
 def places_in(out: Path) -> dict[str, Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +17,12 @@ def result_here(load: Callable[[], Any], progress: Progress, parameters: dict[st
 
     `progress` shows how far it is. Prefect is imported while its server starts.
     """
-    with progress, prefect_server(load) as api:
+
+    def ahead() -> None:
+        with contextlib.suppress(Exception):  # it is the flow's result below
+            load()
+
+    with progress, prefect_server(ahead) as api:
         listen(progress)
         try:
             state = load()(**parameters, return_state=True)

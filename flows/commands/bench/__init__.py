@@ -327,12 +327,15 @@ def scale(
     from bench.flows.projection import Prices
     from bench.flows.scale import ScaleBench, run_scale_bench
     from bench.flows.tables import print_scale
+    from flows.run.fanout.committer import MANY_SCENES
 
     counted = listed_numbers(requests, "--requests") if requests else ()
     if project is not None and len(set(counted)) < 2:
         raise click.BadParameter(
             "needs two numbers of --requests, to tell what a commit asks from what its scenes add", param_hint="--project"
         )
+    if max(counted, default=0) > MANY_SCENES:  # a second commit would be taken for what scenes add
+        raise click.BadParameter(f"takes no more than {MANY_SCENES}, as many as one commit does", param_hint="--requests")
     numbers = listed_numbers(objects, "--objects"), listed_numbers(scenes, "--scenes")
     holding = listed_numbers(held, "--held") if held else ()
     config = ScaleBench(*numbers, counted, holding, seed, project, Prices(*prices))

@@ -5,29 +5,33 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import psutil
 import pytest
 
-from flows.run.crew import Crew, crew_of
+from flows.run.crew import Crew, crew_of, place_of
 from flows.run.pool import WorkerPool
 
 LIMIT = 120.0
-"""Seconds that a healthy task may take here: starting a worker imports this module, on a busy machine."""
+"""Seconds that something healthy may take here: starting a helper imports this module, on a busy machine."""
+
+pytestmark = pytest.mark.timeout(600)
 
 
 @pytest.fixture
 def crew() -> Iterator[Crew]:
-    """One helper, which has started."""
-    made = Crew(1)
-    while len({process for process, _ in made.spread(slowly_squared, range(4))}) < 2:
-        pass
-    yield made
-    end_helpers()
+    before = set(helpers())
+    yield Crew()
+    for child in multiprocessing.active_children():
+        if child.name == "helper" and child.pid not in before:
+            child.kill()
+            child.join()
 
 
 def helpers() -> list[int]:
@@ -35,19 +39,32 @@ def helpers() -> list[int]:
     return [child.pid for child in multiprocessing.active_children() if child.name == "helper" and child.pid is not None]
 
 
-def end_helpers() -> None:
-    for child in multiprocessing.active_children():
-        child.kill()
-        child.join()
+def appear(paths: list[Path]) -> None:
+    until = time.monotonic() + LIMIT
+    while not all(path.exists() for path in paths):
+        assert time.monotonic() < until, "nobody else took a part"
+        time.sleep(0.005)
+
+
+def together(work: tuple[str, int, int]) -> tuple[int, int]:
+    """Says that it has begun, and waits for `count` processes that have: an item for each is done by all of them."""
+    folder, number, count = work
+    (Path(folder) / f"begun{number}").touch()
+    if number < count:
+        appear([Path(folder) / f"begun{other}" for other in range(count)])
+    return os.getpid(), number**2
+
+
+def all_take_part(crew: Crew, folder: Path, count: int = 2, items: int = 8) -> set[int]:
+    """The processes that did the items, `count` at least."""
+    folder.mkdir()
+    done = crew.spread(together, [(str(folder), number, count) for number in range(items)], count - 1)
+    assert [value for _, value in done] == [number**2 for number in range(items)]
+    return {process for process, _ in done}
 
 
 def squared(number: int) -> int:
     return number**2
-
-
-def slowly_squared(number: int) -> tuple[int, int]:
-    time.sleep(0.05)
-    return os.getpid(), number**2
 
 
 def noted(work: tuple[str, int]) -> int:
@@ -59,12 +76,13 @@ def noted(work: tuple[str, int]) -> int:
     return number
 
 
-def killed_where_not(work: tuple[int, int]) -> tuple[int, int]:
-    """Dies in any other process than the one that is named."""
-    worker, number = work
+def killed_where_not(work: tuple[int, str, int]) -> tuple[int, int]:
+    """Dies in any other process than the one that is named, which waits for that at first."""
+    worker, folder, number = work
+    (Path(folder) / f"{number}").touch()
     if os.getpid() != worker:
         os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(0.05)
+    appear([Path(folder) / f"{other}" for other in range(2)])
     return os.getpid(), number
 
 
@@ -73,78 +91,140 @@ class Unpicklable(Exception):
         super().__init__(f"{one} and {two}")
 
 
-def failing(number: int) -> int:
-    time.sleep(0.02)
+def failing(work: tuple[str, int]) -> int:
+    """Items 3, 7, ... fail; the first two wait for each other."""
+    folder, number = work
+    together((folder, number, 2))
     if number % 4 == 3:
         raise ValueError(f"item {number}")
     return number
 
 
-def oddly_failing(number: int) -> tuple[int, int]:
-    time.sleep(0.02)
-    if number > 1:
-        raise Unpicklable("this", f"that of {number}")
-    return os.getpid(), number
+def failing_elsewhere(work: tuple[int, str, int]) -> int:
+    worker, folder, number = work
+    together((folder, number, 2))
+    if os.getpid() != worker:
+        raise Unpicklable("this", "that")
+    return number
 
 
-def unsendable(number: int) -> object:
-    time.sleep(0.02)
-    return (lambda: number) if number == 2 else number
+def failing_here(work: tuple[int, str, int]) -> bytes:
+    """Fails in the worker; elsewhere it makes more than any pipe holds."""
+    worker, folder, number = work
+    together((folder, number, 2))
+    if os.getpid() == worker:
+        raise ValueError("here")
+    return bytes(3_000_000)
 
 
-@pytest.mark.whole
-def test_every_item_is_done_once_and_in_order(crew: Crew, tmp_path: Path) -> None:
-    for count in (2, 3, 100, 5000):
-        (tmp_path / str(count)).mkdir()
-        items = [(str(tmp_path / str(count)), number) for number in range(count)]
-        assert crew.spread(noted, items) == list(range(count))
-        lines = [line.split() for line in (tmp_path / str(count) / "done").read_text().splitlines()]
-        assert Counter(int(number) for number, _ in lines) == Counter(range(count)), "each once"
-    assert {int(process) for _, process in lines} == {os.getpid(), *helpers()}, "by both"
-    assert (crew.spread(squared, []), crew.spread(squared, [3])) == ([], [9])
+def unsendable_elsewhere(work: tuple[int, str, int]) -> object:
+    worker, folder, number = work
+    together((folder, number, 2))
+    return number if os.getpid() == worker else threading.Lock()
 
 
-@pytest.mark.whole
-def test_the_error_is_that_of_the_first_item_that_has_one(crew: Crew) -> None:
-    for _ in range(5):
-        with pytest.raises(ValueError, match=r"item 3$"):
-            crew.spread(failing, range(20))
-    with pytest.raises((Unpicklable, RuntimeError), match=r"this and that of 2$"):
-        crew.spread(oddly_failing, range(6))
-    assert [number for _, number in crew.spread(slowly_squared, range(6))] == [n**2 for n in range(6)], "and nothing is left over"
+def with_a_process(work: tuple[str, int]) -> tuple[int, int]:
+    """What a process of its own makes of the item."""
+    folder, number = work
+    together((folder, number, 2))
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return os.getpid(), pool.apply(squared, (number,))
 
 
 @pytest.mark.whole
-def test_what_cannot_be_sent_is_an_error_or_the_workers_own(crew: Crew) -> None:
-    def made_by_this_process() -> None:
-        while True:  # until it falls to the helper: what this process makes it need not send
-            assert callable(crew.spread(unsendable, range(5))[2])
+@pytest.mark.parametrize("count", [2, 3])
+def test_every_item_is_done_once_and_in_order(crew: Crew, tmp_path: Path, count: int) -> None:
+    assert all_take_part(crew, tmp_path / "all", count) == {os.getpid(), *helpers()}
+    for size in (2, 3, 100, 5000):
+        (tmp_path / str(size)).mkdir()
+        items = [(str(tmp_path / str(size)), number) for number in range(size)]
+        assert crew.spread(noted, items, count - 1) == list(range(size))
+        lines = [line.split() for line in (tmp_path / str(size) / "done").read_text().splitlines()]
+        assert Counter(int(number) for number, _ in lines) == Counter(range(size)), "each once"
+    assert (crew.spread(squared, [], 1), crew.spread(squared, [3], 1)) == ([], [9])
 
-    with pytest.raises(Exception, match=r"pickle"):
-        made_by_this_process()
-    assert crew.spread(squared, range(5)) == [n**2 for n in range(5)]
 
-
-@pytest.mark.whole
-def test_what_a_lost_helper_had_claimed_is_done_and_another_takes_its_place(crew: Crew) -> None:
+def test_no_helper_is_started_for_less_than_two_items(crew: Crew) -> None:
     before = helpers()
-    done = crew.spread(killed_where_not, [(os.getpid(), number) for number in range(10)])
-    assert done == [(os.getpid(), number) for number in range(10)]
-    while len({process for process, _ in crew.spread(slowly_squared, range(4))}) < 2:
-        pass
-    assert not set(helpers()) & set(before)
+    assert (crew.spread(squared, [3], 5), crew.spread(squared, range(9), 0)) == ([9], [n**2 for n in range(9)])
+    assert helpers() == before
+    assert crew_of(1)(lambda number: number + 1, [1, 2]) == [2, 3], "nothing is sent"
 
 
 @pytest.mark.whole
-def test_a_helper_that_is_still_starting_is_not_waited_for() -> None:
-    crew = Crew(1)
-    psutil.Process(helpers()[0]).suspend()
-    for round_ in range(50):
-        assert crew.spread(squared, range(round_)) == [n**2 for n in range(round_)]
-    psutil.Process(helpers()[0]).resume()
-    while len({process for process, _ in crew.spread(slowly_squared, range(4))}) < 2:
-        pass  # it finds its way through rounds that are over
-    end_helpers()
+def test_the_error_is_that_of_the_first_item_that_has_one(crew: Crew, tmp_path: Path) -> None:
+    places = set()
+    for turn in range(8):
+        (tmp_path / str(turn)).mkdir()
+        with pytest.raises(ValueError, match=r"item 3$") as caught:
+            crew.spread(failing, [(str(tmp_path / str(turn)), number) for number in range(20)], 1)
+        places.add(place_of(caught.value))
+    assert len(places) == 1, "whoever did it"
+    assert places.pop().startswith("tests/flows/run/test_crew.py:")
+    with pytest.raises(RuntimeError, match=r"Unpicklable: this and that$") as elsewhere:
+        crew.spread(failing_elsewhere, [(os.getpid(), str(tmp_path), number) for number in range(6)], 1)
+    assert "in failing_elsewhere" in "".join(elsewhere.value.__notes__)
+    assert len(all_take_part(crew, tmp_path / "after")) == 2, "nothing is left over"
+
+
+@pytest.mark.whole
+def test_nobody_stays_busy_with_what_nobody_reads(crew: Crew, tmp_path: Path) -> None:
+    """After an error of the worker a helper still has its part to tell."""
+    for turn in range(3):
+        (tmp_path / str(turn)).mkdir()
+        with pytest.raises(ValueError, match=r"^here$"):
+            crew.spread(failing_here, [(os.getpid(), str(tmp_path / str(turn)), number) for number in range(4)], 1)
+    before = helpers()
+    assert len(all_take_part(crew, tmp_path / "after")) == 2
+    assert helpers() == before, "the same one"
+
+
+@pytest.mark.whole
+def test_what_cannot_be_sent_is_an_error_of_its_item(crew: Crew, tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match=r"pickle"):
+        crew.spread(unsendable_elsewhere, [(os.getpid(), str(tmp_path), number) for number in range(5)], 1)
+    assert crew.spread(squared, range(5), 1) == [n**2 for n in range(5)]
+
+
+@pytest.mark.whole
+def test_what_a_lost_helper_had_claimed_is_done_and_another_takes_its_place(crew: Crew, tmp_path: Path) -> None:
+    for turn in range(2):
+        (tmp_path / str(turn)).mkdir()
+        done = crew.spread(killed_where_not, [(os.getpid(), str(tmp_path / str(turn)), number) for number in range(10)], 1)
+        assert done == [(os.getpid(), number) for number in range(10)]
+    assert len(all_take_part(crew, tmp_path / "after")) == 2
+    (tmp_path / "last").mkdir()
+    crew.spread(killed_where_not, [(os.getpid(), str(tmp_path / "last"), number) for number in range(10)], 1)
+    before = helpers()
+    assert crew.spread(squared, range(10), 1) == [n**2 for n in range(10)], "work that takes every helper along goes on without"
+    assert helpers() == before
+
+
+@pytest.mark.whole
+def test_a_helper_that_is_still_starting_is_not_waited_for(crew: Crew, tmp_path: Path) -> None:
+    before = set(helpers())
+    crew.spread(squared, range(2), 1)
+    (starting,) = set(helpers()) - before
+    psutil.Process(starting).suspend()
+    try:
+        for count in range(50):
+            assert crew.spread(squared, range(count), 1) == [n**2 for n in range(count)]
+    finally:
+        psutil.Process(starting).resume()
+    assert all_take_part(crew, tmp_path / "after") == {os.getpid(), starting}, "it finds its way through rounds that are over"
+
+
+@pytest.mark.whole
+def test_of_several_threads_one_has_the_helpers(crew: Crew) -> None:
+    with ThreadPoolExecutor(4) as threads:
+        for done in threads.map(lambda turn: crew.spread(squared, range(turn, turn + 200), 1), range(40)):
+            assert done == [n**2 for n in range(int(done[0] ** 0.5), int(done[0] ** 0.5) + 200)]
+
+
+@pytest.mark.whole
+def test_helpers_may_have_processes_of_their_own(crew: Crew, tmp_path: Path) -> None:
+    done = crew.spread(with_a_process, [(str(tmp_path), number) for number in range(3)], 1)
+    assert ([value for _, value in done], len({process for process, _ in done})) == ([0, 1, 4], 2)
 
 
 def with_a_crew(folder: str) -> tuple[list[int], list[int]]:
@@ -157,7 +237,3 @@ def test_helpers_end_with_their_worker(tmp_path: Path) -> None:
         done, left = pool.call(with_a_crew, str(tmp_path), timeout=LIMIT)
         assert (done, len(left)) == (list(range(8)), 2)
     assert not psutil.wait_procs([psutil.Process(pid) for pid in left if psutil.pid_exists(pid)], timeout=LIMIT)[1]
-
-
-def test_one_process_does_without() -> None:
-    assert crew_of(1)(lambda number: number + 1, [1, 2]) == [2, 3], "nothing is sent"
