@@ -344,11 +344,17 @@ def test_scale_is_measured_by_stage(tmp_path: Path) -> None:
         assert asked["captions"]["put"] == 2 * one["size"], "a file of rows, and the run's own"
         assert asked["plan"]["put"] == asked["plan again"]["put"] == 0
         assert asked["commit"]["delete"] >= sum(1 for name in asked if name not in ("plan", "commit", "plan again")) * one["size"]
+    for one, count in zip(report["held"], (2, 3), strict=True):
+        assert one["size"] == count
+        assert set(one["stages"]) == {"plan", "commit", "plan again", *(stage.name for stage in SCENE_STAGES)}
+        assert one["holds"]["bytes"]["capture"] > report["scenes"]["sizes"][-1]["holds"]["bytes"]["capture"], "those it held, and its own"
     assert (report["steep"], report["goals"][0]["met"]) == ([], None), "too few sizes to say"
     shown = io.StringIO()
     print_scale(report | {"steep": ["objects: navigation"]}, Console(file=shown, width=160))
     assert "grows faster than linearly: objects: navigation" in shown.getvalue()
     assert CliRunner().invoke(command, ["scale", "--objects", "x"]).exit_code == 2
+    assert "no more than 200" in CliRunner().invoke(command, ["scale", "--requests", "10,300"]).output
+    assert "25 near-empty scenes in a lake that holds so many others" in shown.getvalue()
     assert "requests to a store of objects, 2 near-empty scenes" in shown.getvalue()
     assert list(tmp_path.iterdir()) == []
 

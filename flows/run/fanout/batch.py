@@ -35,6 +35,8 @@ class SceneBatch:
         self.scenes = tuple(scenes)
         self.shows_stages = shows_stages
         self.limits = dict(limits or {})
+        self.processes = processes
+        """What a stage that begins now may use."""
         self._works = [SceneWork(scene, processes, timeout, calls) for scene in scenes]
 
     @property

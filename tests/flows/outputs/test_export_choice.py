@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from flows import exporting
 from flows.cli import cli
+from flows.commands.demo import exporting as exporting_beside
 from flows.outputs.export import write_exports
 from schemas.errors import InputError
 from schemas.exports import ExportCheck, ExportFile
@@ -163,3 +164,20 @@ def test_a_scene_that_lacks_objects_fails_although_its_files_pass(lake: Lake, tm
     assert write_exports(other, tmp_path / "out", ("glb",)).findings == ()
     alone = write_exports(other, tmp_path / "out", ("mjcf",), allowed=Allowed(("CC0-1.0", "Apache-2.0", "unknown")))
     assert alone.findings == (f"{PLAIN}: mjcf: complete: 1 of 2 objects",)
+
+
+@pytest.mark.whole
+def test_a_demo_exports_beside_its_other_work(lake: Lake, tmp_path: Path) -> None:
+    with exporting_beside(lake, tmp_path / "one", 1) as finish:
+        assert not (tmp_path / "one").exists(), "one worker does one thing after another"
+        alone = finish()
+    with exporting_beside(lake, tmp_path / "two", 2) as finish:
+        beside = finish()
+    assert (beside.files, beside.problems) == (alone.files, alone.problems)
+    assert contents(tmp_path / "two") == contents(tmp_path / "one")
+    empty = Lake.open(tmp_path / "lake")
+    for workers in (1, 2):
+        with exporting_beside(empty, tmp_path / "none", workers) as finish, pytest.raises(InputError):
+            finish()
+        with pytest.raises(KeyError), exporting_beside(lake, tmp_path / f"left{workers}", workers):
+            raise KeyError("a report that cannot be drawn ends it all")

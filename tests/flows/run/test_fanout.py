@@ -181,6 +181,32 @@ def coordinator(plan: Plan, lake: Lake, **fan_out: Any) -> Coordinator:
     return Coordinator(plan, lake, configure(), spread, lambda scan, retry: scenes[scan.scene_id], retry_failed=False)
 
 
+class Sharing(Futures):
+    """Tasks that look, when each is done, how many processes its stages could have used last, and how many scenes were left."""
+
+    def __init__(self, scenes: int) -> None:
+        super().__init__(lambda name: False)
+        self.left, self.seen = scenes, list[tuple[int, int]]()
+
+    def results(self, future: Any) -> list[SceneResult]:
+        self.seen.append((self.left, future.batch.processes()))
+        self.left -= len(future.batch.scenes)
+        return super().results(future)
+
+
+@pytest.mark.parametrize(("runner", "workers"), [("pool", 1), ("pool", 2), ("pool", 8), ("dask", 8)])
+def test_only_the_last_scenes_use_cores_that_no_other_one_needs(plan: tuple[Plan, Lake], runner: str, workers: int) -> None:
+    found, lake = plan
+    for count in (1, 3, 12):
+        tasks = Sharing(count)
+        few = dataclasses.replace(found, scenes=found.scenes[:count])
+        coordinator(few, lake, workers=workers, runner=runner, batch=1).run(tasks, lambda *_: None, {"scans": "scans"})
+        assert [left for left, _ in tasks.seen] == list(range(count, 0, -1))
+        for left, processes in tasks.seen:
+            assert processes == (1 if runner == "dask" else max(1, workers // left))
+            assert processes * left <= max(workers, left), "together no more than there are, or one each"
+
+
 class Filling(Futures):
     """Tasks each of whose scenes leaves 100 kB in a lake."""
 

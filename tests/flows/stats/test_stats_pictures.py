@@ -14,6 +14,7 @@ from flows.progress import Progress
 from flows.scans import erasure
 from flows.stats import pictures
 from flows.stats.pictures import NotDrawnYet, only_remembered, remembered
+from flows.stats.scenes import Job, carried_out
 from tasks.films.drives import DriveStill
 from tasks.stats.scenes import PictureConfig, ScenePictures
 from tasks.stats.style import Picture
@@ -123,3 +124,22 @@ def test_progress_is_told_in_lines_where_there_is_no_terminal(monkeypatch: pytes
     with Progress("pictures", 3) as progress:
         progress.advance("a/b")
     assert sys.stderr.getvalue() == ""  # type: ignore[attr-defined]
+
+
+def drawn_once(file: Path, name: str) -> str:
+    with file.open("a") as lines:
+        lines.write(f"{name}\n")
+    return name
+
+
+def test_what_is_never_remembered_is_left_to_workers(tmp_path: Path) -> None:
+    """A page of a scene takes seconds: it is not made where what is remembered is looked up."""
+    file, told = tmp_path / "drawn", list[str]()
+    known: Job = (remembered, (["known"], Draw(CURVE)))
+    assert known[0](*known[1]) == CURVE
+    anew: dict[str, Job] = {"page": (drawn_once, (file, "page")), "bad": (drawn_once, (tmp_path / "no" / "folder", "bad"))}
+    made = carried_out({"known": known}, 1, told.append, meanwhile=lambda: drawn_once(file, "meanwhile") and None, anew=anew)
+    assert (made["known"], made["page"], list(made)) == (CURVE, "page", ["known", "page", "bad"])
+    assert "No such file" in made["bad"]
+    assert file.read_text().splitlines() == ["meanwhile", "page"], "once, after what goes on beside it has begun"
+    assert sorted(told) == ["bad", "known", "page"]

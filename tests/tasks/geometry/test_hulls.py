@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
+import networkx as nx
 import numpy as np
 import pytest
 import trimesh
@@ -9,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tasks.geometry.hulls import REDUCED, Complexity, Hull, balanced, complexity, deviation, hull_of, is_within, reduced
+from tasks.geometry.hulls import COPLANAR, REDUCED, Complexity, Hull, balanced, complexity, deviation, hull_of, is_within, reduced
 from tasks.geometry.transforms import rotation_of
 
 
@@ -59,6 +62,52 @@ def clouds(seed: int, count: int, size: tuple[float, float, float], kind: str) -
 
 
 sizes = st.floats(0.05, 2.0)
+
+
+def counted_slowly(hull: Hull, coplanar: float) -> Complexity:
+    """What engines count, by a graph of triangles whose distances from each other's planes are small."""
+    corners = hull.vertices[hull.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(lengths, 1e-300)[:, None]
+    tolerance = coplanar * np.linalg.norm(np.ptp(hull.vertices, axis=0))
+    beside: dict[frozenset[int], list[int]] = {}
+    for index, face in enumerate(hull.faces.tolist()):
+        for k in range(3):
+            beside.setdefault(frozenset((face[k], face[(k + 1) % 3])), []).append(index)
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(hull.faces)))
+    for a, b in beside.values():
+        apart = max(np.abs((corners[y] - corners[x][0]) @ normals[x]).max() for x, y in ((a, b), (b, a)))
+        if apart <= tolerance or min(lengths[a], lengths[b]) <= tolerance**2:
+            graph.add_edge(a, b)
+    polygons = [set(hull.faces[sorted(part)].ravel().tolist()) for part in nx.connected_components(graph)]
+    meeting = Counter(vertex for polygon in polygons for vertex in polygon)
+    return Complexity(len(hull.vertices), len(polygons), max(map(len, polygons)), max(meeting.values()))
+
+
+@pytest.mark.whole
+@given(
+    st.integers(0, 10_000), st.integers(4, 120), st.tuples(sizes, sizes, sizes), st.sampled_from(["cloud", "ball", "disc"]),
+    st.sampled_from([COPLANAR / 8, COPLANAR, 8 * COPLANAR, 0.01, 0.2]),
+)  # fmt: skip
+def test_what_engines_count_is_what_a_graph_of_triangles_has(
+    seed: int, count: int, size: tuple[float, float, float], kind: str, coplanar: float
+) -> None:
+    hull = hull_of(clouds(seed, count, size, kind))
+    assert complexity(hull, coplanar) == counted_slowly(hull, coplanar)
+
+
+@given(st.integers(0, 10_000), st.integers(4, 60), st.tuples(sizes, sizes, sizes), st.sampled_from(["cloud", "ball", "disc"]))
+def test_triangles_of_a_hull_look_outwards(seed: int, count: int, size: tuple[float, float, float], kind: str) -> None:
+    points = clouds(seed, count, size, kind)
+    hull = hull_of(points)
+    mesh = trimesh.Trimesh(hull.vertices, hull.faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert hull.volume > 0
+    assert set(map(tuple, hull.vertices.tolist())) <= set(map(tuple, points.tolist())), "corners are points, to the bit"
+    assert deviation(hull, points) <= 1e-9 * max(size)
 
 
 @pytest.mark.whole
