@@ -19,10 +19,11 @@ from typing import Any
 
 import pyarrow as pa
 
-from flows.run.crew import crew_of, place_of
+from flows.run.crew import crew_of
 from flows.run.fingerprints import ModuleCaches, annotations_digest
 from flows.run.ledger import FREE, CallRules, LakeLedger
 from flows.run.libraries import NamedLibrary, library_for_worker
+from flows.run.parts import place_of
 from schemas.errors import InputError, LakeError, RecordError
 from schemas.record import arrow_to_rows, check
 from schemas.runs import StageRun

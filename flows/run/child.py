@@ -6,7 +6,6 @@ import os
 import signal
 import threading
 import time
-from typing import Any
 
 ONE_THREAD = dict.fromkeys(
     (
@@ -46,14 +45,3 @@ def follow_parent(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, name="follow-parent", daemon=True).start()
-
-
-def start_helper(parent: int, connection: Any, claims: Any) -> None:
-    """Help a worker, `parent`, with parts of its work; see `flows.run.crew`."""
-    import multiprocessing
-
-    start_worker(parent)
-    multiprocessing.current_process().daemon = False  # else it may have no processes of its own; the worker ends it all the same
-    from flows.run.crew import help_worker
-
-    help_worker(connection, claims)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import signal
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 
-from flows.run.crew import Crew, crew_of, place_of
+from flows.run.crew import Crew, crew_of
+from flows.run.parts import IDLE, place_of
 from flows.run.pool import WorkerPool
 
 LIMIT = 120.0
@@ -100,11 +103,27 @@ def failing(work: tuple[str, int]) -> int:
     return number
 
 
-def failing_elsewhere(work: tuple[int, str, int]) -> int:
+def failing_there(work: tuple[int, str, int]) -> int:
+    worker, folder, number = work
+    together((folder, number, 2))
+    if os.getpid() != worker:
+        raise ValueError("there")
+    return number
+
+
+def telling_more_than_can_be_sent(work: tuple[int, str, int]) -> int:
     worker, folder, number = work
     together((folder, number, 2))
     if os.getpid() != worker:
         raise Unpicklable("this", "that")
+    return number
+
+
+def telling_a_cause(work: tuple[int, str, int]) -> int:
+    worker, folder, number = work
+    together((folder, number, 2))
+    if os.getpid() != worker:
+        raise ValueError("away") from ConnectionResetError("gone")
     return number
 
 
@@ -161,9 +180,9 @@ def test_the_error_is_that_of_the_first_item_that_has_one(crew: Crew, tmp_path: 
         places.add(place_of(caught.value))
     assert len(places) == 1, "whoever did it"
     assert places.pop().startswith("tests/flows/run/test_crew.py:")
-    with pytest.raises(RuntimeError, match=r"Unpicklable: this and that$") as elsewhere:
-        crew.spread(failing_elsewhere, [(os.getpid(), str(tmp_path), number) for number in range(6)], 1)
-    assert "in failing_elsewhere" in "".join(elsewhere.value.__notes__)
+    with pytest.raises(ValueError, match=r"^there\b") as elsewhere:
+        crew.spread(failing_there, [(os.getpid(), str(tmp_path), number) for number in range(6)], 1)
+    assert "in failing_there" in "".join(elsewhere.value.__notes__)
     assert len(all_take_part(crew, tmp_path / "after")) == 2, "nothing is left over"
 
 
@@ -180,10 +199,71 @@ def test_nobody_stays_busy_with_what_nobody_reads(crew: Crew, tmp_path: Path) ->
 
 
 @pytest.mark.whole
-def test_what_cannot_be_sent_is_an_error_of_its_item(crew: Crew, tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match=r"pickle"):
-        crew.spread(unsendable_elsewhere, [(os.getpid(), str(tmp_path), number) for number in range(5)], 1)
-    assert crew.spread(squared, range(5), 1) == [n**2 for n in range(5)]
+@pytest.mark.parametrize("function", [unsendable_elsewhere, telling_more_than_can_be_sent, telling_a_cause])
+def test_what_cannot_be_sent_as_it_is_is_done_by_the_worker(crew: Crew, tmp_path: Path, function: Callable[..., Any]) -> None:
+    """What decides whether a stage is tried again, an error's kind and cause, is that of an item the worker did."""
+    assert crew.spread(function, [(os.getpid(), str(tmp_path), number) for number in range(5)], 1) == list(range(5))
+    assert len(all_take_part(crew, tmp_path / "after")) == 2
+
+
+class Unreadable:
+    """Cannot be read in another process."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return read_in, (os.getpid(),)
+
+
+def read_in(process: int) -> str:
+    if os.getpid() != process:
+        raise ImportError("no such module here")
+    return "item"
+
+
+def is_item(item: Any) -> bool:
+    return isinstance(item, Unreadable)
+
+
+@pytest.mark.whole
+def test_orders_that_no_helper_can_read_start_none_for_ever(crew: Crew) -> None:
+    seen: set[int] = set()
+    for _ in range(40):
+        assert crew.spread(is_item, [Unreadable() for _ in range(4)], 1) == [True] * 4
+        seen |= set(helpers())
+        for child in multiprocessing.active_children():
+            child.join(1.0)
+    assert 1 <= len(seen) <= 4
+
+
+@pytest.mark.whole
+def test_where_none_can_be_started_the_worker_does_all(crew: Crew, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: Any) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(multiprocessing.get_context("spawn").Process, "start", full)
+    for _ in range(5):
+        assert crew.spread(squared, range(10), 2) == [n**2 for n in range(10)]
+
+
+def is_warm(crew: Crew, folder: Path) -> bool:
+    return len(all_take_part(crew, folder)) == 2
+
+
+@pytest.mark.whole
+def test_a_helper_that_has_started_takes_part_in_every_round(crew: Crew, tmp_path: Path) -> None:
+    """An order that comes before what there is to claim would find nothing, and be done."""
+    assert all(is_warm(crew, tmp_path / str(turn)) for turn in range(40))
+
+
+@pytest.mark.whole
+def test_a_helper_that_nobody_asks_ends_and_another_one_helps_next(crew: Crew, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(IDLE, "0.05")
+    before = set(helpers())
+    for turn in range(5):  # more often than helpers may be lost
+        assert is_warm(crew, tmp_path / str(turn))
+        until = time.monotonic() + LIMIT
+        while set(helpers()) - before:
+            assert time.monotonic() < until, "it stays"
+            time.sleep(0.01)
 
 
 @pytest.mark.whole
@@ -236,4 +316,7 @@ def test_helpers_end_with_their_worker(tmp_path: Path) -> None:
     with WorkerPool(1) as pool:
         done, left = pool.call(with_a_crew, str(tmp_path), timeout=LIMIT)
         assert (done, len(left)) == (list(range(8)), 2)
-    assert not psutil.wait_procs([psutil.Process(pid) for pid in left if psutil.pid_exists(pid)], timeout=LIMIT)[1]
+    until = time.monotonic() + LIMIT
+    while any(psutil.pid_exists(pid) for pid in left):
+        assert time.monotonic() < until, "they stay"
+        time.sleep(0.05)
