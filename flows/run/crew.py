@@ -31,6 +31,10 @@ _HEARING_SECONDS = 0.02
 """How long a worker waits for helpers to hear of its work: it may be at something next that lets no thread of its own run."""
 
 _ENDING_SECONDS = 5.0
+"""How long a helper that says nothing more may take to end, until it counts as lost."""
+
+IDLE_SECONDS = 60.0
+"""A helper that nobody asked for so long ends; the next one takes seconds to start."""
 
 
 def crew_of(processes: int) -> Spread:
@@ -56,9 +60,13 @@ def _own_crew() -> Crew:
 
 
 class Crew:
-    """``Crew().spread(function, items, 1)``: what the function makes of each item, by this process and one helper."""
+    """``Crew().spread(function, items, 1)``: what the function makes of each item, by this process and one helper.
 
-    def __init__(self) -> None:
+    idle_seconds: How long a helper waits for the next work before it ends [s].
+    """
+
+    def __init__(self, idle_seconds: float = IDLE_SECONDS) -> None:
+        self._idle_seconds = idle_seconds
         self._context = multiprocessing.get_context("spawn")
         self._claims, self._offers = self._context.Pipe(duplex=False)
         os.set_blocking(self._claims.fileno(), False)
@@ -115,7 +123,7 @@ class Crew:
         self._helpers = [helper for helper in self._helpers if not helper.is_gone]
         while len(self._helpers) < count and self._losses < _MOST_LOSSES:
             try:
-                self._helpers.append(_Helper(self._context, self._claims, self._replies))
+                self._helpers.append(_Helper(self._context, self._claims, self._replies, self._idle_seconds))
             except (OSError, RuntimeError):
                 self._losses += 1
         return self._helpers[:count]
@@ -145,9 +153,11 @@ class Crew:
 class _Helper:
     """A process that helps, and threads that pass on orders to it and its replies: it may be starting yet, or at a round that is over."""
 
-    def __init__(self, context: Any, claims: Connection, replies: queue.SimpleQueue[tuple[_Helper, bytes | None]]) -> None:
+    def __init__(
+        self, context: Any, claims: Connection, replies: queue.SimpleQueue[tuple[_Helper, bytes | None]], idle_seconds: float
+    ) -> None:
         self._connection, far = context.Pipe()
-        self._process = context.Process(target=start_helper, args=(os.getpid(), far, claims), name="helper", daemon=True)
+        self._process = context.Process(target=start_helper, args=(os.getpid(), far, claims, idle_seconds), name="helper", daemon=True)
         self._process.start()
         far.close()
         self.is_gone = self._is_warm = False

@@ -18,25 +18,21 @@ from typing import Any
 
 from flows.run.child import start_worker
 
-IDLE = "METASCENES_IDLE_SECONDS"
-"""A helper that nobody asked for so long ends, 60 s unless the environment says otherwise; the next one takes seconds to start."""
-
 CLAIM = struct.Struct("<QII")
 """Number of a round, and the items from one up to another."""
 
 Claim = tuple[int, int, int]
 
 
-def start_helper(parent: int, connection: Connection, claims: Connection) -> None:
-    """Help a worker, `parent`, until it is gone or asks for nothing."""
+def start_helper(parent: int, connection: Connection, claims: Connection, idle_seconds: float) -> None:
+    """Help a worker, `parent`, until it is gone or has asked for nothing for so long [s]."""
     import multiprocessing
 
     start_worker(parent)
     multiprocessing.current_process().daemon = False  # else it may have no processes of its own; the worker ends it all the same
-    idle = float(os.environ.get(IDLE) or 60.0)
     early: list[Claim] = []  # of a round whose order is still on its way
     with contextlib.suppress(EOFError, OSError):
-        while connection.poll(idle):
+        while connection.poll(idle_seconds):
             message = connection.recv_bytes()
             connection.send_bytes(_done(message, claims, early))
             del message

@@ -69,7 +69,11 @@ REDUCED = Complexity(62, 58, 29, 29)
 
 
 def hull_of(points: Array) -> Hull:
-    """Convex hull with outward triangles; the same points give the same hull."""
+    """Convex hull of points, shape (n, 3) [m], with outward triangles; the same points give the same hull.
+
+    Raises:
+        scipy.spatial.QhullError: they are fewer than four, or lie in a plane.
+    """
     return _hull_and_planes(points)[0]
 
 

@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 from flows.run.crew import Crew, crew_of
-from flows.run.parts import IDLE, place_of
+from flows.run.parts import place_of
 from flows.run.pool import WorkerPool
 
 LIMIT = 120.0
@@ -255,8 +255,8 @@ def test_a_helper_that_has_started_takes_part_in_every_round(crew: Crew, tmp_pat
 
 
 @pytest.mark.whole
-def test_a_helper_that_nobody_asks_ends_and_another_one_helps_next(crew: Crew, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(IDLE, "0.05")
+def test_a_helper_that_nobody_asks_ends_and_another_one_helps_next(tmp_path: Path) -> None:
+    crew = Crew(idle_seconds=0.05)
     before = set(helpers())
     for turn in range(5):  # more often than helpers may be lost
         assert is_warm(crew, tmp_path / str(turn))
