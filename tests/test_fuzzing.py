@@ -60,7 +60,6 @@ OWN = {
     "tasks/weights.py": "reads weights that the user names; damaged in tests/tasks/test_weights.py",
     "tasks/library/": "reads models of libraries and their catalogs; tests/tasks/library damages them, and USD is read by a child",
     "tasks/texturing/": "reads assets of the lake, and what programs wrote; damaged in tests/tasks/texturing",
-    "tasks/captions/vision_language.py prompt_of": "reads the package's own prompts",
     "tasks/candidates/served.py": "reads answers of a server; tests/tasks/candidates/generation damages them",
     "tasks/candidates/commanded.py": "reads what a program wrote that the user named; damaged as above",
     "tasks/candidates/shap_e.py": "reads weights that the user names; damaged as above",

@@ -19,6 +19,7 @@ from schemas.calls import ModelCall
 from schemas.errors import InputError
 from tasks.calls.endpoint import CallAnswer, EndpointSettings
 from tasks.calls.exchange import EndpointAway
+from tasks.calls.prompts import Prompt
 from tasks.calls.replies import UnreadableReply
 from tasks.views.pictures import png_of
 
@@ -26,23 +27,6 @@ if TYPE_CHECKING:
     from tasks.stage import Context
 
 T = TypeVar("T")
-
-VERSION_LETTERS = 12
-"""Of the hash of a prompt's text: enough to tell its versions apart."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Prompt:
-    """A prompt as people read it. name: Of its file. text: With {fields} to fill in."""
-
-    name: str
-    text: str
-
-    @property
-    def version(self) -> str:
-        """Another one where the text is."""
-        return hashlib.sha256(self.text.encode()).hexdigest()[:VERSION_LETTERS]
-
 
 @dataclasses.dataclass(frozen=True)
 class Conversation:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, Self, TypeVar
+
+from pydantic import model_validator
 
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
 from schemas.errors import InputError
-from tasks.calls.asking import Conversation, Prompt, picture_part, text_part, told_by
+from tasks.calls.asking import Conversation, picture_part, text_part, told_by
 from tasks.calls.endpoint import EndpointSettings, check_endpoint
 from tasks.calls.exchange import EndpointAway
+from tasks.calls.prompts import Prompt, bundled_prompt, chosen_prompt
 from tasks.calls.replies import UnreadableReply
 from tasks.captions.classical import ClassicalCaptions, described
 from tasks.captions.colors import WORDS
@@ -29,23 +31,33 @@ T = TypeVar("T")
 WHERE = "captions.provider"
 """The settings, as errors name them."""
 
-PRINTED_FRICTION = 2.0
-"""Most of the printed scale, whose last band is above 1; what rows take."""
+MAX_PARAPHRASED_FRICTION = 2.0
+"""Largest friction that the paraphrased prompt may be answered with: its last band is above 1, and rows take 2."""
 
 
 @dataclasses.dataclass(frozen=True)
 class VisionLanguageCaptions(EndpointSettings):
-    """A vision-language model's sentence, words and physical attributes; the classical ones where it says nothing of use."""
+    """A vision-language model's sentence, words and physical attributes; the classical ones where it says nothing of use.
+
+    `physics_prompt_version` is filled in from the prompt, so that its words decide whether captions are made again.
+    """
 
     kind: ClassVar[str] = "vision_language"
     pixels: Count = 384  # of the picture's side: more than crops of most objects have
-    physics_prompt: Literal["corrected", "printed"] = "corrected"  # the printed one has gaps and two scales of friction (specs F.2)
+    physics_prompt: Literal["corrected", "paraphrased"] = "corrected"  # the supplementary's, paraphrased, has gaps and two scales of friction
+    physics_prompt_file: str = ""  # text file with a prompt of your own; replies are read in the scale of `physics_prompt`
+    physics_prompt_version: str = dataclasses.field(init=False)  # from the prompt's text
     replies: Count = 2  # that are asked for when one cannot be read or is not plausible; the model is told why
     away: Literal["fallback", "retry"] = "fallback"  # where no endpoint answers, the scene goes on; `retry` leaves it to the next run
     restitution: Share = 0.05  # of what does not bounce, by its word
     bouncy_restitution: Share = 0.6  # of what does: a rubber ball's is 0.8, a tennis ball's 0.7, a football's 0.5
     classical: ClassicalCaptions = dataclasses.field(default_factory=ClassicalCaptions)  # who stands in
     version: str = "1"  # goes up when the same replies would give another caption
+
+    @model_validator(mode="after")
+    def _with_prompt(self) -> Self:
+        object.__setattr__(self, "physics_prompt_version", physics_prompt_of(self).version)
+        return self
 
 
 def captioned(
@@ -62,7 +74,7 @@ def captioned(
     lacking: list[str] = []
     looks, looks_id = _told(_about_looks(instance, frame, mask, size, context, provider), appearance_of, context, provider, lacking)
     sentence = looks.sentence if looks is not None else None
-    most = PRINTED_FRICTION if provider.physics_prompt == "printed" else 1.0
+    most = MAX_PARAPHRASED_FRICTION if provider.physics_prompt == "paraphrased" else 1.0
 
     def read(reply: str) -> PhysicalAttributes:
         return attributes_of(reply, size, most_friction=most)
@@ -118,27 +130,34 @@ def _about_looks(
         return str(error)
     if crop is None:
         return "no picture of it"
-    prompt = prompt_of("appearance")
-    text = prompt.text.format(
-        category=_name(instance), length=size[0], width=size[1], height=size[2], color_words=", ".join(WORDS),
-        material_words=", ".join(materials()),
-    )  # fmt: skip
+    prompt = bundled_prompt(Path(__file__).with_name("appearance.txt"))
+    words = {"color_words": ", ".join(WORDS), "material_words": ", ".join(materials())}
+    text = prompt.filled({"category": _name(instance), **_lengths(size), **words})
     picture = picture_part(squared(crop.on_white(), provider.pixels))
     return Conversation(prompt, [{"role": "user", "content": [text_part(text), picture]}], APPEARANCE, instance.instance_id)
 
 
 def _about_physics(instance: Instance, size: tuple[float, ...], sentence: str | None, provider: VisionLanguageCaptions) -> Conversation:
-    prompt = prompt_of(f"physics_{provider.physics_prompt}")
+    prompt = physics_prompt_of(provider, provider.physics_prompt_version)
     about = f' It was described so: "{sentence}"' if sentence else ""
-    text = prompt.text.format(category=_name(instance), length=size[0], width=size[1], height=size[2], about=about)
+    text = prompt.filled({"category": _name(instance), **_lengths(size), "about": about})
     return Conversation(prompt, [{"role": "user", "content": text}], PHYSICS, instance.instance_id)
 
 
-@cache
-def prompt_of(name: str) -> Prompt:
-    """The prompt in the file of a name, beside this module."""
-    with open(Path(__file__).parent / f"{name}.txt", encoding="utf-8") as file:
-        return Prompt(name, file.read())
+def physics_prompt_of(provider: VisionLanguageCaptions, version: str = "") -> Prompt:
+    """Prompt for physical attributes that the settings choose. version: the version it must have, "" for any.
+
+    Raises:
+        InputError: the user's file cannot be used, or has another version.
+    """
+    bundled = Path(__file__).with_name(f"physics_{provider.physics_prompt}.txt")
+    fields = ("category", "length", "width", "height", "about")
+    return chosen_prompt(provider.physics_prompt_file, bundled, f"{WHERE}.physics_prompt_file", fields, version)
+
+
+def _lengths(size: Sequence[float]) -> dict[str, str]:
+    """Sides of a box [m], shape (3,), as prompts show them."""
+    return {name: f"{side:.2f}" for name, side in zip(("length", "width", "height"), size, strict=True)}
 
 
 def _name(instance: Instance) -> str:

@@ -288,7 +288,7 @@ _VIEWS: Mapping[str, tuple[str, str]] = {
         "mean_displacement_m free_objects stable_5cm_share",
     ),
     "annotation_timing": (
-        "Minutes per object: the paper's annotation, people's here, and computation",
+        "Minutes per object: annotation and preprocessing in the paper, people and computation here",
         "reading scenes objects minutes minutes_per_object minutes_per_39_objects times_paper",
     ),
     "annotation_agreement": ("Annotators and the selection", "annotator answers none_fits same_as_selection agreement"),

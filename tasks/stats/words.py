@@ -20,8 +20,12 @@ WORD_LIMIT = 200
 """More words than that are too small to be read."""
 
 
+MIN_LETTERS_PX = 10
+"""Size of the smallest letters [px]: smaller ones cannot be read."""
+
+
 def word_cloud(counts: Mapping[str, int]) -> Picture | None:
-    """Categories, each as large as it is frequent. None when there is none."""
+    """Categories, the size of each by its count. None without categories."""
     words = {word: count for word, count in sorted(counts.items()) if count > 0 and word.strip()}
     if not words:
         return None
@@ -45,10 +49,16 @@ def _png(cloud: WordCloud) -> bytes:
 
 
 def _layout(words: Mapping[str, int]) -> WordCloud:
-    """The cloud with the largest letters at which all words fit without being shrunk: equal counts, equal sizes."""
+    """Cloud with the largest letters at which all words fit.
+
+    The size of a word follows from its count alone: linear from `MIN_LETTERS_PX` at no object to the
+    largest letters at the greatest count.
+    """
     from wordcloud import WordCloud
 
+    greatest = max(words.values())
     for largest in _LETTER_SIZES:
+        sizes_px = {word: MIN_LETTERS_PX + (largest - MIN_LETTERS_PX) * count / greatest for word, count in words.items()}
         cloud = WordCloud(
             width=900,
             height=560,
@@ -57,10 +67,11 @@ def _layout(words: Mapping[str, int]) -> WordCloud:
             prefer_horizontal=0.9,
             max_words=WORD_LIMIT,
             max_font_size=largest,
-            relative_scaling=0.5,  # between rank and count: one huge category must not crowd out all others
+            min_font_size=MIN_LETTERS_PX,
+            relative_scaling=1.0,  # sizes as given; less would mix in the rank
             background_color=PAPER.light,
             color_func=_color,
-        ).generate_from_frequencies(words)
+        ).generate_from_frequencies(sizes_px)
         sizes = {(words[word], size) for (word, _), size, _, _, _ in cloud.layout_}
         if len(cloud.layout_) == min(len(words), WORD_LIMIT) and len(sizes) == len({count for count, _ in sizes}):
             break

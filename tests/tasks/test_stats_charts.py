@@ -247,6 +247,19 @@ def test_the_word_cloud_holds_every_category_larger_when_more_frequent() -> None
     assert words.word_cloud({}) is None
 
 
+@pytest.mark.parametrize("counts", [(200, 100, 50, 1), (9, 8, 7, 6, 5, 4, 3, 2, 1), (1000, 999, 2, 1, 1)])
+def test_sizes_follow_the_counts_alone(counts: tuple[int, ...]) -> None:
+    """Supplementary, Fig. A4: the font size represents the total count, not the rank."""
+    cloud = words.word_cloud({f"kind {n}": count for n, count in enumerate(counts)})
+    assert cloud is not None
+    root = ET.fromstring(cloud.svg)
+    sizes = {"".join(node.itertext()): int(node.attrib["font-size"]) for node in root.iter("{http://www.w3.org/2000/svg}text")}
+    largest = sizes["kind 0"]
+    for n, count in enumerate(counts):
+        expected = words.MIN_LETTERS_PX + (largest - words.MIN_LETTERS_PX) * count / counts[0]
+        assert sizes[f"kind {n}"] == pytest.approx(expected, abs=2)
+
+
 def test_equally_frequent_categories_are_equally_large() -> None:
     cloud = words.word_cloud({f"category {n}": 3 if n < 20 else 1 for n in range(40)})
     assert cloud is not None

@@ -8,8 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tasks.calls.asking import Conversation, Prompt, ask, picture_part, text_part
+from tasks.calls.asking import Conversation, ask, picture_part, text_part
 from tasks.calls.endpoint import EndpointSettings, check_endpoint
+from tasks.calls.prompts import Prompt
 from tasks.calls.replies import UnreadableReply
 from tasks.models import Model
 from tasks.selection.evidence import Evidence, InstanceQuery

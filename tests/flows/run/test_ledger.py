@@ -17,9 +17,10 @@ from flows.run.ledger import SPENT, BudgetSpent, CallRules, LakeLedger, NotRecor
 from flows.run.patience import is_away
 from schemas.calls import ModelCall
 from schemas.errors import InputError
-from tasks.calls.asking import Conversation, Prompt, ask
+from tasks.calls.asking import Conversation, ask
 from tasks.calls.endpoint import EndpointSettings, check_endpoint
 from tasks.calls.exchange import EndpointAway
+from tasks.calls.prompts import Prompt
 from tasks.stage import Context
 from tests.tasks.calls.servers import Server, refuses, says, server
 from warehouse.lake import Lake

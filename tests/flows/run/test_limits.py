@@ -20,8 +20,9 @@ from flows.run.ledger import CallRules, LakeLedger
 from flows.run.limits import Limit, check_limits, limited
 from flows.server.services import SERVER
 from schemas.errors import InputError
-from tasks.calls.asking import Conversation, Prompt, ask
+from tasks.calls.asking import Conversation, ask
 from tasks.calls.endpoint import EndpointSettings
+from tasks.calls.prompts import Prompt
 from tasks.candidates import CandidatesConfig, SlotConfig
 from tasks.candidates.shap_e import ShapE
 from tasks.capture.small_objects.detectors import GroundingDino

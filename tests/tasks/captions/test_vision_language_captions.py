@@ -7,6 +7,7 @@ import dataclasses
 import io
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,17 +18,20 @@ from bench.models.replies import BEHAVES, LOOKS, SIZE, looks_figures, physics_fi
 from schemas.captions import Caption
 from schemas.errors import InputError
 from schemas.record import check
+from tasks import captions
 from tasks.calls.exchange import EndpointAway
 from tasks.calls.ledger import Recollection
+from tasks.calls.prompts import bundled_prompt
 from tasks.calls.replies import UnreadableReply
 from tasks.captions import CaptionsConfig, VisionLanguageCaptions, run
-from tasks.captions.vision_language import prompt_of
 from tasks.captions.wording import APPEARANCE, PHYSICS, Appearance, appearance_of, attributes_of
 from tasks.stage import Context, Outcome
 from tests.tasks.calls.servers import Server, refuses, says, server
 from tests.tasks.selection.rooms import SCENE, Room, photographed_chair
 
 __all__ = ["server"]
+
+PROMPTS = Path(captions.__file__).parent
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +145,7 @@ def test_every_call_is_recorded_with_what_came_of_it(room: Room, server: Server)
     assert (behaves.outcome, behaves.attempts, behaves.cost_usd) == ("away", 2, 0.0)
     assert behaves.problem is not None
     assert "HTTP 503" in behaves.problem
-    assert looks.prompt_version == prompt_of("appearance").version
+    assert looks.prompt_version == bundled_prompt(PROMPTS / "appearance.txt").version
 
 
 def test_what_was_answered_is_not_asked_again_and_what_was_not_is(room: Room, server: Server) -> None:
@@ -178,8 +182,8 @@ def test_a_call_is_known_by_what_its_picture_shows_not_by_how_it_is_packed(
 
 def test_prompts_are_addressed_to_a_model() -> None:
     """Not to whoever reads the code: no name of it stands in them."""
-    for name in ("appearance", "physics_corrected", "physics_printed"):
-        text = prompt_of(name).text
+    for name in ("appearance", "physics_corrected", "physics_paraphrased"):
+        text = bundled_prompt(PROMPTS / f"{name}.txt").text
         assert re.search(r"\bAnswer (with|in)\b", text)
         assert not re.search(r"\b[a-z]+[A-Z]|\b[A-Z][a-z]+[A-Z]|_[a-z]+_", re.sub(r"\{\w+[^}]*\}", "", text)), text
 
@@ -204,7 +208,7 @@ def test_settings_that_name_no_endpoint_are_refused(room: Room, server: Server, 
         captioned(room, server, **told)
 
 
-PRINTED = [
+FORMS = [
     (json.dumps(BEHAVES), 6.5),
     (f"```json\n{json.dumps(BEHAVES)}\n```", 6.5),
     ("{'physics_attributes': {'category': 'rigid', 'mass': '6.5 kg', 'friction': '0.45', 'bounciness': False,},}", 6.5),
@@ -217,7 +221,7 @@ PRINTED = [
 ]
 
 
-@pytest.mark.parametrize(("reply", "mass"), PRINTED)
+@pytest.mark.parametrize(("reply", "mass"), FORMS)
 def test_replies_are_read_whatever_their_form(reply: str, mass: float | None) -> None:
     if mass is None:
         with pytest.raises(UnreadableReply):
@@ -241,7 +245,18 @@ def test_what_no_object_is_like_is_refused(change: dict[str, Any]) -> None:
         attributes_of(reply, SIZE)
 
 
-def test_the_printed_prompt_has_friction_above_one() -> None:
+def test_a_user_can_supply_the_words_that_ask_for_physical_attributes(room: Room, server: Server, tmp_path: Path) -> None:
+    words = tmp_path / "mine.txt"
+    words.write_text("Mass of a {category} of {length} x {width} x {height} m?{about}")
+    server.answers = [says(json.dumps(LOOKS)), says(json.dumps(BEHAVES))]
+    ledger = Recollection()
+    captioned(room, server, ledger, physics_prompt_file=str(words))
+    text = server.requests[-1][2]["messages"][0]["content"]
+    assert re.fullmatch(r'Mass of a chair of \d\.\d\d x \d\.\d\d x \d\.\d\d m\? It was described so: ".+"', text)
+    assert [call.prompt for call in ledger.calls.values()] == ["appearance", "mine"]
+
+
+def test_the_paraphrased_prompt_has_friction_above_one() -> None:
     reply = json.dumps({"physics_attributes": {**BEHAVES["physics_attributes"], "friction": 1.4}})
     assert attributes_of(reply, SIZE, most_friction=2.0).friction == 1.4
 

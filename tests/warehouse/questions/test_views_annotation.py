@@ -186,14 +186,16 @@ def test_minutes_of_people_and_of_computers(database: Database, rows: list[Any],
         if timed:
             minutes[scene] = total
     readings = by_key(database.ask("annotation_timing"), "reading")
-    assert list(readings) == ["paper", "people", "computation"]
-    same(readings["paper"], scenes=None, minutes_per_scene=12.0, minutes_per_object=12 / 39, minutes_per_39_objects=12.0, times_paper=1.0)
+    assert list(readings) == ["paper_annotation", "paper_preprocessing", "people", "computation"]
+    for reading, each in (("paper_annotation", 2.0), ("paper_preprocessing", 12 / 39)):
+        stated = {"minutes_per_scene": 39 * each, "minutes_per_object": each, "minutes_per_39_objects": 39 * each}
+        same(readings[reading], scenes=None, times_paper=1.0, **stated)
     each = sum(minutes.values()) / timed_objects if minutes else None
     same(
         readings["people"], scenes=len(minutes), objects=timed_objects, minutes=sum(minutes.values()) if minutes else None,
         minutes_per_scene=sum(minutes.values()) / len(minutes) if minutes else None, minutes_per_object=each,
         median_minutes_per_scene=float(np.median(list(minutes.values()))) if minutes else None,
-        minutes_per_39_objects=39 * each if minutes else None, times_paper=39 * each / 12 if minutes else None,
+        minutes_per_39_objects=39 * each if minutes else None, times_paper=each / 2 if minutes else None,
     )  # fmt: skip
     computed = {scene: sum(r.seconds for r in of(history, StageRun) if r.scene_id == scene) / 60 for scene in objects if objects[scene]}
     computed = {scene: total for scene, total in computed.items() if any(r.scene_id == scene for r in history)}
@@ -202,6 +204,7 @@ def test_minutes_of_people_and_of_computers(database: Database, rows: list[Any],
     same(
         readings["computation"], scenes=len(computed), objects=count, minutes=total if computed else None,
         minutes_per_scene=total / len(computed) if computed else None, minutes_per_39_objects=39 * total / count if computed else None,
+        times_paper=39 * total / count / 12 if computed else None,
     )  # fmt: skip
 
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
-from tasks.calls.asking import Conversation, Prompt, picture_part, text_part, told_by
+from pydantic import model_validator
+
+from tasks.calls.asking import Conversation, picture_part, text_part, told_by
 from tasks.calls.endpoint import EndpointSettings, check_endpoint
 from tasks.calls.exchange import EndpointAway
+from tasks.calls.prompts import Prompt, chosen_prompt
 from tasks.calls.replies import UnreadableReply
-from tasks.capture.files.documents import read_text
 from tasks.capture.small_objects.items.item import ITEMS, SupportItem, items_of, united
 from tasks.capture.small_objects.items.pictures import Bools, MaskStyle, support_picture
 from tasks.settings import Count, Share
@@ -29,10 +30,15 @@ _OUTSIDE = {
 
 @dataclasses.dataclass(frozen=True)
 class AskedItems(EndpointSettings):
-    """Items by a vision-language model, which is shown the support."""
+    """Items by a vision-language model, which is shown the support.
+
+    `prompt_version` is filled in from the prompt, so that its words decide whether a scene is captured again.
+    """
 
     kind: ClassVar[str] = "asked"
-    prompt: Literal["corrected", "printed"] = "corrected"  # the printed one wants a bare list in back quotes (specs F.2)
+    prompt: Literal["corrected", "paraphrased"] = "corrected"  # `paraphrased` asks as the supplementary does, for a bare list (Table A1)
+    prompt_file: str = ""  # text file with a prompt of your own, {category} and {outside} in it: the supplementary's words are not ours to ship
+    prompt_version: str = dataclasses.field(init=False)  # from the prompt's text
     mask_style: MaskStyle = "dim"  # `hard`, as in the paper, removes what stands taller than the support's mask
     dilation: Share = 0.05  # of the mask, in longer sides of its box (specs A.3)
     margin: Share = 0.1  # above the mask, in heights of its box: tall things stick out (specs A.3)
@@ -40,6 +46,11 @@ class AskedItems(EndpointSettings):
     replies: Count = 2  # that are asked for when one cannot be read; the model is told why
     away: Literal["fallback", "retry"] = "fallback"  # where no endpoint answers, the scene goes on; `retry` leaves it to the next run
     version: str = "1"  # goes up when the same replies would give other items
+
+    @model_validator(mode="after")
+    def _with_prompt(self) -> Self:
+        object.__setattr__(self, "prompt_version", prompt_of(self).version)
+        return self
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,18 +92,21 @@ def asked_items(category: str, instance_id: str, shown: Sequence[tuple[Image, Bo
 
 def conversation(category: str, instance_id: str, picture: Image, mask: Bools, settings: AskedItems) -> Conversation:
     """What a model is asked about a support that one picture shows."""
-    prompt = prompt_of(f"items_{settings.prompt}")
+    prompt = prompt_of(settings, settings.prompt_version)
     word = category.replace('"', "'")
-    text = prompt.text.format(category=word, outside=_OUTSIDE[settings.mask_style].format(category=word))
+    text = prompt.filled({"category": word, "outside": _OUTSIDE[settings.mask_style].format(category=word)})
     shown = support_picture(picture, mask, settings.mask_style, settings.dilation, settings.margin, settings.pixels)
     return Conversation(prompt, [{"role": "user", "content": [text_part(text), picture_part(shown)]}], ITEMS, instance_id)
 
 
-@cache
-def prompt_of(name: str) -> Prompt:
-    """The prompt in the file of a name, beside this module."""
-    file = Path(__file__).with_name(f"{name}.txt")
-    return Prompt(name, read_text(file, file.name))
+def prompt_of(settings: AskedItems, version: str = "") -> Prompt:
+    """Prompt that the settings choose. version: the version it must have, "" for any.
+
+    Raises:
+        InputError: the user's file cannot be used, or has another version.
+    """
+    bundled = Path(__file__).with_name(f"items_{settings.prompt}.txt")
+    return chosen_prompt(settings.prompt_file, bundled, f"{WHERE}.prompt_file", ("category", "outside"), version)
 
 
 def check(settings: AskedItems) -> None:

@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import random
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from tasks.calls.exchange import EndpointAway
 from tasks.calls.ledger import Recollection
 from tasks.calls.replies import UnreadableReply
 from tasks.capture.small_objects.items import AskedItems, ListedItems, SupportItem, ToldItems, asked_items, listed_names, names_of
-from tasks.capture.small_objects.items.asked import check, prompt_of
+from tasks.capture.small_objects.items.asked import check, conversation, prompt_of
 from tasks.capture.small_objects.items.item import ITEMS, items_of, lemma, merged, united
 from tasks.capture.small_objects.items.listed import item_lists, parsed_lists
 from tasks.capture.small_objects.items.pictures import box_of, grown, support_picture
@@ -55,7 +56,7 @@ def test_a_model_is_shown_the_support_and_asked_for_a_strict_list(server: Server
     assert told.items == (SupportItem("coffee mug", "white", 2), SupportItem("book", ""))
     assert (told.call_ids, told.problems) == (tuple(ledger.calls), ())
     (call,) = ledger.calls.values()
-    assert (call.kind, call.prompt, call.prompt_version) == ("chat", "items_corrected", prompt_of("items_corrected").version)
+    assert (call.kind, call.prompt, call.prompt_version) == ("chat", "items_corrected", prompt_of(AskedItems()).version)
     assert (call.instance_id, call.stage) == ("0004", "capture")
     ((_, _, body),) = server.requests
     assert body["response_format"]["json_schema"] == {"name": "reply", "strict": True, "schema": ITEMS}
@@ -66,11 +67,53 @@ def test_a_model_is_shown_the_support_and_asked_for_a_strict_list(server: Server
     assert shown.size == (88, 42), "5 % of 80 px more on each side, and 10 % of the height above"
 
 
-def test_the_printed_prompt_gets_its_bare_list_read(server: Server) -> None:
+def sent_text(server: Server) -> str:
+    """Text of the last request."""
+    return str(server.requests[-1][2]["messages"][0]["content"][0]["text"])
+
+
+def test_the_paraphrased_prompt_gets_its_bare_list_read(server: Server) -> None:
     server.answers = [says("Here you go:\n```\n[{`item`: `mug`, `color`: `white`}, {`item`: `books`, `color`: `red`}]\n```")]
-    told = asked(server, prompt="printed", mask_style="hard")
+    told = asked(server, prompt="paraphrased", mask_style="hard")
     assert told.items == (SupportItem("mug", "white"), SupportItem("book", "red"))
-    assert "JSON array" in server.requests[0][2]["messages"][0]["content"][0]["text"]
+    text = sent_text(server)
+    assert "JSON array" in text
+    assert "[{`item`: `mug`, `color`: `white`}" in text, "braces of the example stay single"
+    for part in ("for example: mug", "for example: white", "not those nearby", "an empty list: []"):
+        assert part in text, "as Table A1 of the supplementary has it"
+
+
+def test_a_user_can_supply_the_words_of_a_prompt(server: Server, tmp_path: Path) -> None:
+    words = tmp_path / "mine.txt"
+    words.write_text('List what stands on the {category}.\r\nAs JSON: {"items": [{"item": "mug"}]}')
+    server.answers = [says(listed(MUG))]
+    ledger = Recollection()
+    told = asked(server, ledger=ledger, prompt_file=str(words))
+    assert told.items == (SupportItem("mug", "white"),)
+    assert sent_text(server) == 'List what stands on the desk.\nAs JSON: {"items": [{"item": "mug"}]}'
+    (call,) = ledger.calls.values()
+    assert call.prompt == "mine"
+    planned = AskedItems(prompt_file=str(words))
+    words.write_text(words.read_text() + "\nBe brief.")
+    assert AskedItems(prompt_file=str(words)) != planned, "its words decide whether a scene is captured again"
+    with pytest.raises(InputError, match="has changed since the run was planned"):
+        conversation("desk", "0004", PICTURE, DESK, planned)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (b"List the items.", "lacks {category}"),
+        (b"List what is on the {category}, a {catagory}.", r"has \{catagory\}, which is not a field"),
+        (b"On the {category}: \xff", "is not UTF-8 text"),
+    ],
+)
+def test_a_prompt_that_cannot_be_filled_in_is_refused(tmp_path: Path, text: bytes, problem: str) -> None:
+    (tmp_path / "mine.txt").write_bytes(text)
+    with pytest.raises(InputError, match=problem):
+        AskedItems(prompt_file=str(tmp_path / "mine.txt"))
+    with pytest.raises(InputError, match="prompt_file|cannot be read|missing"):
+        AskedItems(prompt_file=str(tmp_path / "away.txt"))
 
 
 def test_nothing_on_it_is_an_answer(server: Server) -> None:
