@@ -44,7 +44,7 @@ class Placement:
         minimum=0,
     )
     lift_m: float | None = column("Optimized height minus proposed height; missing where a finished dataset states one pose", unit="m")
-    method: str = column("Optimization method; imported is a finished dataset's own", values=("paper", "default", "imported"))
+    method: str = column("Optimization method; imported is a finished dataset's own", values=("paper", "released", "default", "imported"))
     remains: str | None = column(
         "What is still wrong with the optimized pose, by the optimization and by every engine of the table certificates, mujoco_defaults "
         "among them: where an object moves, the engine is named in brackets; missing when nothing is"
@@ -113,7 +113,9 @@ class OptimizationStep:
     turn_y_radians: float = column("The same along y", unit="rad")
     turn_z_radians: float = column("The same along z: the yaw where x and y are 0", unit="rad")
     loss: float = column(
-        "Collision loss after the move: overlap volume in m3 (paper, equation A1) or penetration depth in m (default)", minimum=0
+        "Collision loss after the move: sum of IoU (paper, equation A1), overlap volume in m3 (released) or penetration depth "
+        "in m (default)",
+        minimum=0,
     )
     smallest_loss: float = column("Smallest loss so far, this step included, in the unit of the loss", minimum=0)
     outcome: str = column(
@@ -128,7 +130,7 @@ class Optimization:
     """What the optimization of a scene came to."""
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
-    method: str = column("Optimization method", values=("paper", "default"))
+    method: str = column("Optimization method", values=("paper", "released", "default"))
     object_count: int = column("Instances for which an asset was placed", minimum=0)
     loss_start: float = column("Loss of the proposed state at rest, in the method's unit", minimum=0)
     loss_final: float = column("Loss of the state that was kept, in the method's unit", minimum=0)

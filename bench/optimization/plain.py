@@ -1,6 +1,6 @@
 """Algorithm 1 in plain Python: what the compiled loop is measured against, move by move.
 
-It is the algorithm as `tasks.optimization.paper` reads it, not the printed one alone: carried objects move along and stay on
+It is the algorithm of `tasks.optimization.released`: carried objects move along and stay on
 their carriers, hung objects do not move, moves out of the room are undone, and the loop ends once no move helps. Of the
 optimization it uses the drawn room, the four moves, the names of outcomes and the limits of rounding; losses and outlines are
 computed anew, without numpy, for all pairs at every move.

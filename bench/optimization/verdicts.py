@@ -98,7 +98,7 @@ class SceneVerdicts:
 
 def config_of(method: str) -> OptimizationConfig:
     """The config of a method, everything else as it is by default."""
-    names = {"paper": optimization.Paper, "default": optimization.Default}
+    names = {"paper": optimization.Paper, "released": optimization.Released, "default": optimization.Default}
     return OptimizationConfig(method=names[method]())
 
 

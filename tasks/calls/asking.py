@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+
 @dataclasses.dataclass(frozen=True)
 class Conversation:
     """What a chat model is asked: messages so far, and the JSON schema of the reply. instance_id: What it is about."""

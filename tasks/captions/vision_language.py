@@ -44,7 +44,7 @@ class VisionLanguageCaptions(EndpointSettings):
 
     kind: ClassVar[str] = "vision_language"
     pixels: Count = 384  # of the picture's side: more than crops of most objects have
-    physics_prompt: Literal["corrected", "paraphrased"] = "corrected"  # the supplementary's, paraphrased, has gaps and two scales of friction
+    physics_prompt: Literal["corrected", "paraphrased"] = "corrected"  # the paraphrase has the paper's gaps and two scales of friction
     physics_prompt_file: str = ""  # text file with a prompt of your own; replies are read in the scale of `physics_prompt`
     physics_prompt_version: str = dataclasses.field(init=False)  # from the prompt's text
     replies: Count = 2  # that are asked for when one cannot be read or is not plausible; the model is told why

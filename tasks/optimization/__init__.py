@@ -16,7 +16,7 @@ from schemas.capture import Instance, Shell
 from schemas.optimization import APPLIED, OptimizationStep
 from schemas.selection import Selection
 from tasks.geometry.pieces import PieceConfig
-from tasks.optimization import default, paper
+from tasks.optimization import default, paper, released
 from tasks.optimization.bodies import BodyConfig, bodies_of
 from tasks.optimization.certificates import CertificateConfig, certificate_rows, certify
 from tasks.optimization.clearance import keep_clear
@@ -31,6 +31,7 @@ from tasks.optimization.misfits import Fitting, fit_together, yielding
 from tasks.optimization.paper import Paper
 from tasks.optimization.parting import part_slight
 from tasks.optimization.proposals import Proposal, propose
+from tasks.optimization.released import Released
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
 from tasks.optimization.search.trace import Move, Resolution, moved_poses, replayed_poses, step_rows, with_falls, with_shifts
@@ -39,9 +40,9 @@ from tasks.optimization.support.supports import SupportConfig
 from tasks.settings import ByKind, Config, NonNegative
 from tasks.stage import Context, Outcome, Stage
 
-__all__ = ["MOVES", "OUTCOMES", "STAGE", "Default", "OptimizationConfig", "Paper", "SupportConfig", "replayed_poses", "run"]
+__all__ = ["MOVES", "OUTCOMES", "STAGE", "Default", "OptimizationConfig", "Paper", "Released", "SupportConfig", "replayed_poses", "run"]
 
-Method = Annotated[Paper | Default, ByKind()]
+Method = Annotated[Paper | Released | Default, ByKind()]
 """How collisions are resolved: a union of frozen configs, matched by type."""
 
 
@@ -53,7 +54,7 @@ MOST_TRIES = 3
 class OptimizationConfig(Config):
     """How assets are put to rest and apart."""
 
-    method: Method = dataclasses.field(default_factory=Default)  # no pair of the benchmark stays deeper than 2 mm; of `paper`, two in five
+    method: Method = dataclasses.field(default_factory=Default)  # no pair of the benchmark stays deeper than 2 mm
     misfit_m: NonNegative = 0.12  # assets deeper in each other than this have the wrong shape: a scan's objects are beside each other
     supports: SupportConfig = dataclasses.field(default_factory=SupportConfig)
     pieces: PieceConfig = dataclasses.field(default_factory=PieceConfig)
@@ -84,7 +85,7 @@ def run(
     room = shells[0] if shells else None
     cut_proposed(proposals, known, context.blobs, config.pieces, context.caches, context.spread)
     placed = (known, context.blobs, room, config.supports, config.pieces, context.caches)
-    deepest = config.misfit_m if isinstance(config.method, Default) else np.inf  # the paper's method moves what it was given
+    deepest = config.misfit_m if isinstance(config.method, Default) else np.inf  # the other methods move what they were given
     notable: dict[str, tuple[str, str]] = {}
     usable = list(selections)
     if isinstance(config.method, Default):
@@ -180,7 +181,9 @@ def _stuck(resolved: _Resolved) -> list[Penetration]:
 def _resolved(interior: Interior, config: OptimizationConfig, context: Context, anywhere: Collection[str] = ()) -> _Resolved:
     match config.method:
         case Paper() as method:
-            resolution = paper.resolve(interior, method, config.supports, context.rng)
+            resolution = paper.resolve(interior, method, context.rng)
+        case Released() as method:
+            resolution = released.resolve(interior, method, config.supports, context.rng)
         case Default() as method:
             resolution = default.resolve(interior, method, config.supports, context.rng, context.spread, anywhere=anywhere)
     interior = resolution.interior or interior

@@ -23,6 +23,14 @@ _MOST_TIPS = 40
 _BLUE, _ORANGE = SERIES[0].light, SERIES[1].light
 
 
+_QUANTITIES = {
+    "paper": ("", 1.0, "sum of IoU of the boxes"),
+    "released": ("l", 1000.0, "overlap of the boxes"),
+    "default": ("mm", 1000.0, "penetration depth"),
+}
+"""Unit, factor from the table's unit, and name of a method's loss."""
+
+
 @in_style
 def loss_curve(steps: pa.Table, method: str, scene_id: str) -> Picture | None:
     """Loss and smallest loss so far over the steps of a scene's optimization, on an axis that is logarithmic down to the
@@ -33,7 +41,7 @@ def loss_curve(steps: pa.Table, method: str, scene_id: str) -> Picture | None:
     rows = sorted(steps.select(["step", "loss", "smallest_loss"]).to_pylist(), key=lambda row: row["step"])
     if not rows:
         return None
-    unit, factor, what = ("l", 1000.0, "overlap of the boxes") if method == "paper" else ("mm", 1000.0, "penetration depth")
+    unit, factor, quantity = _QUANTITIES[method]
     step, loss, smallest = (np.array([row[key] for row in rows], dtype=np.float64) for key in ("step", "loss", "smallest_loss"))
     loss, smallest = loss * factor, smallest * factor
     axes = canvas(2.7)
@@ -55,8 +63,8 @@ def loss_curve(steps: pa.Table, method: str, scene_id: str) -> Picture | None:
     axes.grid(visible=True, axis="y", color=GRID.light, linewidth=0.7)
     axes.set_xlim(0, 1.03 * max(step[-1], 1))  # a fall at the last step is to be seen
     whole_numbers(axes)
-    axes.set_xlabel("step" if method == "paper" else "step; moves that were taken back are left out")
-    axes.set_ylabel(f"{what} [{unit}]")
+    axes.set_xlabel("step" if method != "default" else "step; moves that were taken back are left out")
+    axes.set_ylabel(f"{quantity} [{unit}]" if unit else quantity)
     title = f"Loss, method {method}"
     axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.4)
     alt = (

@@ -209,7 +209,7 @@ def office() -> BenchScene:
 
 
 @cache
-def verdicts(of: tuple[str, tuple[float, float, float]] | None = None, methods: tuple[str, ...] = ("paper",)) -> dict[str, Verdict]:
+def verdicts(of: tuple[str, tuple[float, float, float]] | None = None, methods: tuple[str, ...] = ("released",)) -> dict[str, Verdict]:
     made = office() if of is None else moved(office(), *of)
     return {v.state: v for v in judge(made, methods, 0, defaultdict(dict)).verdicts}
 
@@ -253,13 +253,13 @@ def test_a_changed_support_is_counted_and_told_apart_from_a_reported_one() -> No
     assert of.carried is not None
     # say that the box on the table stood on the cabinet
     told = dataclasses.replace(of, carried={**of.carried, "0002": Carried("on", "0000")})
-    result = judge(told, ("paper",), 0, defaultdict(dict))
-    v = {one.state: one for one in result.verdicts}["paper"]
+    result = judge(told, ("released",), 0, defaultdict(dict))
+    v = {one.state: one for one in result.verdicts}["released"]
     assert v.lost_silently == v.misjudged == ("0002",)
     assert figures([v])["supports_kept"] == 3
-    assert worst_cases([result], "paper")[0]["instances"] == ["0002"]
+    assert worst_cases([result], "released")[0]["instances"] == ["0002"]
     on_floor = dataclasses.replace(of, carried={**of.carried, "0003": Carried("wall", None)})
-    v = {one.state: one for one in judge(on_floor, ("paper",), 0, defaultdict(dict)).verdicts}["paper"]
+    v = {one.state: one for one in judge(on_floor, ("released",), 0, defaultdict(dict)).verdicts}["released"]
     assert v.lost_silently == ("0003",), "it hangs on no wall"
 
 
@@ -272,9 +272,9 @@ def test_a_counter_along_a_wall_is_rightly_fixed_and_what_was_drawn_standing_is_
     assert [name for name, carried in of.carried.items() if carried.is_fitted] == ["0000"]
     free = dataclasses.replace(of, carried={name: Carried("floor", None) for name in of.carried})
     for drawn, wrong in ((of, ()), (free, ("0000", "0001"))):
-        states = {one.state: one for one in judge(drawn, ("paper",), 0, defaultdict(dict)).verdicts}
-        assert states["paper"].fixed_wrongly == wrong
-        assert states["paper"].free == ()
+        states = {one.state: one for one in judge(drawn, ("released",), 0, defaultdict(dict)).verdicts}
+        assert states["released"].fixed_wrongly == wrong
+        assert states["released"].free == ()
 
 
 def test_a_rug_under_an_object_is_as_good_as_the_floor() -> None:
@@ -282,7 +282,7 @@ def test_a_rug_under_an_object_is_as_good_as_the_floor() -> None:
         ("rug", (2.0, 1.5, 0.01), yaw_pose(0.0, [2.0, 1.5, 0.0]), "floor"),
         ("box", (0.4, 0.4, 0.4), yaw_pose(0.0, [2.0, 1.5, 0.01]), "floor"),
     )
-    v = {one.state: one for one in judge(of, ("paper",), 0, defaultdict(dict)).verdicts}["input"]
+    v = {one.state: one for one in judge(of, ("released",), 0, defaultdict(dict)).verdicts}["input"]
     assert not v.lost_silently
     assert not v.floating
 
@@ -307,9 +307,9 @@ def test_judging_twice_gives_the_same_but_for_the_times() -> None:
         return tuple(dataclasses.replace(v, seconds=0.0) for v in results.verdicts)
 
     small = disturbed_scene("bench/small", furnish("office", np.random.default_rng(5), 10), np.random.default_rng(6), plain_share=0.0)
-    first, second = (judge(small, ("paper", "default"), 1, defaultdict(dict)) for _ in range(2))
+    first, second = (judge(small, ("released", "default"), 1, defaultdict(dict)) for _ in range(2))
     assert timeless(first) == timeless(second)
-    assert {v.state for v in first.verdicts} == {"drawn", "input", "paper", "default"}
+    assert {v.state for v in first.verdicts} == {"drawn", "input", "released", "default"}
     assert any(far > 0 for _, far in first.verdicts[-1].displaced)
 
 
@@ -329,7 +329,7 @@ def report() -> dict[str, Any]:
 @pytest.mark.slow
 @pytest.mark.timeout(1800)  # the whole benchmark of a room, which paper and default are run on
 def test_the_command_prints_every_figure(report: dict[str, Any]) -> None:
-    assert list(report["states"]) == ["drawn", "input", "paper", "default"]
+    assert list(report["states"]) == ["drawn", "input", "released", "default"]
     for state in report["states"].values():
         assert {key for key, _, _ in FIGURES} <= set(state)
         assert state["objects"] == len(generated_scene(0, 1, 0).rows["instances"])
@@ -343,7 +343,7 @@ def test_the_command_prints_every_figure(report: dict[str, Any]) -> None:
     assert report["scene"]["default"] > 0
     assert report["chains"]["is_same"]
     assert {row["method"] for row in report["pieces"]} == {"hulls", "cut"}
-    assert set(report["scene"]["first_seconds"]) == {"paper", "default"}
+    assert set(report["scene"]["first_seconds"]) == {"released", "default"}
     assert report["states"]["default"]["depths_checked"] > 0
     assert {"processor", "cores", "python", "versions"} <= set(report["machine"])
     assert len(report["goals"]) == 15
@@ -373,11 +373,11 @@ def test_scenes_of_a_lake_are_read_as_the_stage_reads_them(tmp_path_factory: pyt
 
     address = str(built(tmp_path_factory)[2])
     reader = Lake.open(address).snapshot()
-    jobs = jobs_of(BenchConfig(("paper", "default"), lake=address), {})
+    jobs = jobs_of(BenchConfig(("released", "default"), lake=address), {})
     assert [job.scene_id for job in jobs] == [row.scene_id for row in reader.rows(Scene)]
     for job in jobs:
         result = judge_job(job)
-        assert [v.state for v in result.verdicts] == ["input", "paper", "default"]
+        assert [v.state for v in result.verdicts] == ["input", "released", "default"]
         rows = {row.instance_id: row for row in reader.rows(Placement, job.scene_id)}
         assert {name for name, _ in result.verdicts[-1].displaced} == set(rows)
         for name, far in result.verdicts[-1].displaced:
@@ -464,7 +464,7 @@ def test_goals_about_objects_are_neither_met_nor_missed_without_objects_and_miss
     whole = met({"moves": moves(), "states": {"default": figures([good])}})
     assert set(whole.values()) == {True}
     nothing = dataclasses.replace(good, objects=0, free=(), carried=0, displaced=(), fixed_wrongly=())
-    empty = met({"moves": moves(), "states": {"default": figures([nothing]), "paper": figures([nothing])}})
+    empty = met({"moves": moves(), "states": {"default": figures([nothing]), "released": figures([nothing])}})
     assert {is_met for goal, is_met in empty.items() if goal not in met({"moves": moves()})} == {None}
     unknown = met({"moves": moves(), "states": {"default": figures([dataclasses.replace(good, fixed_wrongly=None, misjudged=None)])}})
     assert [goal for goal, is_met in unknown.items() if is_met is None] == ["objects fixed wrongly"], "nobody knows of a scan"

@@ -273,9 +273,9 @@ def test_the_loss_curve_of_many_steps_is_small_and_says_start_and_end() -> None:
     rng = np.random.default_rng(0)
     loss = np.concatenate([[0.5], rng.random(9999) * 0.4 + 0.1, [0.0]])
     steps = pa.table({"step": range(len(loss)), "loss": loss, "smallest_loss": np.minimum.accumulate(loss)})
-    drawn = losses.loss_curve(steps, "paper", "demo/a")
+    drawn = losses.loss_curve(steps, "released", "demo/a")
     assert drawn is not None
-    assert drawn == losses.loss_curve(steps.take(rng.permutation(len(loss))), "paper", "demo/a")
+    assert drawn == losses.loss_curve(steps.take(rng.permutation(len(loss))), "released", "demo/a")
     assert len(drawn.svg) < 40_000
     assert "500 l at the start, 0 l in the end" in drawn.alt
     assert "0" in texts(drawn.svg)  # the axis reaches zero
@@ -283,7 +283,7 @@ def test_the_loss_curve_of_many_steps_is_small_and_says_start_and_end() -> None:
     in_depth = losses.loss_curve(steps.slice(0, 3), "default", "demo/a")
     assert in_depth is not None
     assert any("[mm]" in text for text in texts(in_depth.svg))
-    assert losses.loss_curve(steps.slice(0, 0), "paper", "demo/a") is None
+    assert losses.loss_curve(steps.slice(0, 0), "released", "demo/a") is None
 
 
 def test_a_share_says_all_or_none_only_when_it_is() -> None:

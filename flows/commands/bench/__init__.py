@@ -19,7 +19,7 @@ from flows.commands.bench.modeling import models
 from flows.commands.options import json_option, set_option
 from schemas.errors import InputError
 
-METHODS = ("paper", "default")
+METHODS = ("paper", "released", "default")
 
 _OPTIONS = {"rooms": "--rooms", "address": "--lake", "moves_only": "--moves-only"}
 

@@ -12,7 +12,7 @@ import pytest
 from flows.run.configuration import Configuration, configure
 from flows.run.fingerprints import canonical_json
 from schemas.errors import InputError
-from tasks.optimization import Default, Paper
+from tasks.optimization import Default, Released
 from tasks.pipeline import STAGES
 from tests.conftest import REPOSITORY
 
@@ -40,7 +40,7 @@ def test_without_anything_told_every_stage_has_its_defaults() -> None:
 IDENTITIES = REPOSITORY / "tests" / "golden" / "configs.json"
 TOLD = [
     "capture.max_faces=7", "captions.provider.min_points=3", "selection.score.own_geometry=['x']", "annotation.reach_m=3",
-    "optimization.method=paper", "optimization.method.max_steps=7.0", "optimization.certificate.mujoco.impedance=[0.9, 0.99, 1]",
+    "optimization.method=released", "optimization.method.max_steps=7.0", "optimization.certificate.mujoco.impedance=[0.9, 0.99, 1]",
     "navigation.min_geodesic_m=2", "navigation.path_finder=recast", "navigation.path_finder.cell_size_m=1",
     "exports.formats=['usd', 'glb']",
     "exports.shell.floor_color=[1, 2, 3]", "exports.mjcf.engine.impedance=[0.9, 0.99, 1]", "exports.habitat.agent=robot",
@@ -107,14 +107,14 @@ def test_a_setting_reaches_nested_fields_and_wins_over_the_file(tmp_path: Path) 
 
 def test_a_word_chooses_among_the_methods_of_a_stage(tmp_path: Path) -> None:
     assert configure().stages["optimization"].method == Default()
-    told = configure(None, ["optimization.method=paper", "optimization.method.step_m=0.1"])
-    assert told.stages["optimization"].method == Paper(step_m=0.1)
-    assert configure(None, ["optimization.method=paper", "optimization.method=default"]) == configure()
-    for text in ("[optimization]\nmethod = 'paper'\n", "[optimization.method]\nkind = 'paper'\nmax_steps = 7\n"):
+    told = configure(None, ["optimization.method=released", "optimization.method.step_m=0.1"])
+    assert told.stages["optimization"].method == Released(step_m=0.1)
+    assert configure(None, ["optimization.method=released", "optimization.method=default"]) == configure()
+    for text in ("[optimization]\nmethod = 'released'\n", "[optimization.method]\nkind = 'released'\nmax_steps = 7\n"):
         method = configure(toml(tmp_path, text)).stages["optimization"].method
-        assert method == Paper(max_steps=7 if "max_steps" in text else Paper.max_steps)
-    assert "paper, default" in refusal(None, ["optimization.method=best"])
-    assert configure(None, ["optimization.method.kind=paper"]).stages["optimization"].method == Paper()
+        assert method == Released(max_steps=7 if "max_steps" in text else Released.max_steps)
+    assert "paper, released, default" in refusal(None, ["optimization.method=best"])
+    assert configure(None, ["optimization.method.kind=released"]).stages["optimization"].method == Released()
     assert "kind" in refusal(toml(tmp_path, "[navigation.agent]\nkind = 'cart'\n"))
 
 

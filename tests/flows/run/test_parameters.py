@@ -22,7 +22,7 @@ from tasks.candidates.parametric import Parametric
 from tasks.candidates.procedural import Procedural
 from tasks.candidates.scan_crop import ScanCrop
 from tasks.candidates.slots import SlotConfig
-from tasks.optimization import Default, Paper
+from tasks.optimization import Default, Released
 from tasks.pipeline import STAGES
 from tasks.settings import ByKind
 from tests.conftest import REPOSITORY
@@ -218,10 +218,10 @@ def test_tables_go_between_the_file_and_single_settings(tmp_path: Any) -> None:
     told = configure(file, ["navigation.test_episodes=3"], tables={"navigation": {"train_episodes": 2, "test_episodes": 2}})
     navigation = told.stages["navigation"]
     assert (navigation.max_steps, navigation.train_episodes, navigation.test_episodes) == (1, 2, 3)
-    told = configure(tables={"optimization": {"method": {"kind": "paper", "step_m": 0.1}}})
-    assert told.stages["optimization"].method == Paper(step_m=0.1)
+    told = configure(tables={"optimization": {"method": {"kind": "released", "step_m": 0.1}}})
+    assert told.stages["optimization"].method == Released(step_m=0.1)
     assert (
-        configure(None, ["optimization.method=default"], tables={"optimization": {"method": "paper"}}).stages["optimization"].method
+        configure(None, ["optimization.method=default"], tables={"optimization": {"method": "released"}}).stages["optimization"].method
         == Default()
     )
     with pytest.raises(InputError, match=r"^stages: exports\.pieces: differ from optimization\.pieces"):

@@ -24,7 +24,7 @@ from tasks.candidates.slots import SlotConfig
 from tasks.navigation.configuration import Agent, NavigationConfig
 from tasks.navigation.planar import PlanarConfig
 from tasks.navigation.recast import RecastConfig
-from tasks.optimization import Default, OptimizationConfig, Paper
+from tasks.optimization import Default, OptimizationConfig, Released
 from tasks.pipeline import STAGES
 from tasks.settings import ByKind, ByWord, Config, reasons
 from tasks.shell import ShellConfig
@@ -180,8 +180,8 @@ def test_a_slot_that_cannot_be_is_named(slots: Any, problem: str) -> None:
         (lambda: Agent(radius_m="0.2"), "radius_m: must be a finite number, is '0.2'"),  # type: ignore[arg-type]
         (lambda: Agent(radius_m=True), "radius_m: must be a finite number, is True"),
         (lambda: Agent(name=3), "name: must be a text, is 3"),  # type: ignore[arg-type]
-        (lambda: Paper(max_steps=1.5), "max_steps: must be a whole number, is 1.5"),  # type: ignore[arg-type]
-        (lambda: Paper(max_steps=10**19), "max_steps: 10000000000000000000 is too large"),
+        (lambda: Released(max_steps=1.5), "max_steps: must be a whole number, is 1.5"),  # type: ignore[arg-type]
+        (lambda: Released(max_steps=10**19), "max_steps: 10000000000000000000 is too large"),
         (lambda: Default(cooling=1.0), "cooling: must be below 1, is 1"),
         (lambda: OptimizationConfig(method=Agent()), "method: must name a kind, is Agent("),  # type: ignore[arg-type]
         (lambda: OptimizationConfig(supports=Agent()), "supports: must be a table of fields, is Agent("),  # type: ignore[arg-type]
@@ -200,7 +200,7 @@ def test_what_cannot_be_is_refused_in_code_too(make: Any, problem: str) -> None:
 def test_equal_numbers_have_one_identity() -> None:
     """A whole number for a length is that length, and 2.0 for a count is 2, whoever says it."""
     assert canonical_json(Agent(radius_m=1, height_m=2)) == canonical_json(Agent(radius_m=1.0, height_m=2.0))
-    assert canonical_json(Paper(max_steps=7.0)) == canonical_json(Paper(max_steps=7))  # type: ignore[arg-type]
+    assert canonical_json(Released(max_steps=7.0)) == canonical_json(Released(max_steps=7))  # type: ignore[arg-type]
     assert canonical_json(RecastConfig()) != canonical_json(PlanarConfig())
 
 

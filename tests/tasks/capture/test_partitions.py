@@ -26,7 +26,7 @@ from tasks.geometry.transforms import yaw_pose
 from tasks.navigation.obstacles import free_space
 from tasks.navigation.planar import PlanarPathFinder
 from tasks.navigation.targets import view_points
-from tasks.optimization import Default, Paper
+from tasks.optimization import Default, Released
 from tasks.optimization.search.collisions import room_triangles
 from tasks.shell import interior_footprints, room_shell
 from tests.capture_scans import BoxRoom, box_plates, box_room, plate, write_scannet
@@ -394,16 +394,16 @@ def test_no_move_pushes_an_asset_into_a_wall(seed: int) -> None:
     wall = (0.5, -2.0, 0.5, 2.0, 0.1, 2.5)
     scene.add(block(0.5, 0.5, 0.5), yaw_pose(0, [0.19, 0.0, 0.0]))  # up to 1 cm before the wall
     scene.add(block(0.5, 0.5, 0.5), yaw_pose(0, [0.05, 0.0, 0.0]))
-    free = bounds(scene.run(Paper(), seed), scene, "optimized")
+    free = bounds(scene.run(Released(), seed), scene, "optimized")
     assert any(box[1, 0] > 0.46 for box in free.values()), "without the wall it would be pushed there"
     scene.shells = [with_walls(scene.shells[0], [wall])]
-    for method in (Paper(), Default()):
+    for method in (Released(), Default()):
         kept = scene.run(method, seed)
         for box in bounds(kept, scene, "optimized").values():
-            assert box[1, 0] <= 0.45 + (1e-9 if isinstance(method, Paper) else method.slop_m)
+            assert box[1, 0] <= 0.45 + (1e-9 if isinstance(method, Released) else method.slop_m)
         (summary,) = kept.rows["optimizations"]
         assert summary.loss_final < summary.loss_start
-        assert summary.loss_final == 0.0 or isinstance(method, Paper)
+        assert summary.loss_final == 0.0 or isinstance(method, Released)
 
 
 def test_furniture_across_floor_that_was_seen_in_patches_belongs_to_the_room() -> None:

@@ -21,7 +21,7 @@ from schemas.selection import Selection
 from tasks.geometry.meshes import dump_glb, load_glb, surface_of
 from tasks.geometry.pieces import Hull, PieceConfig, pieces
 from tasks.geometry.transforms import flat, matrix, translation, yaw_pose
-from tasks.optimization import STAGE, Default, OptimizationConfig, Paper, run
+from tasks.optimization import STAGE, Default, OptimizationConfig, Paper, Released, run
 from tasks.stage import Blobs, Context, Outcome, in_turn
 from tests.samples import sample
 
@@ -32,7 +32,7 @@ RECORDS = {
     "placements": Placement, "supports": Support, "contacts": Contact, "optimization_steps": OptimizationStep,
     "optimizations": Optimization, "certificates": Certificate,
 }  # fmt: skip
-METHODS = pytest.mark.parametrize("method", [Paper(), Default()], ids=["paper", "default"])
+METHODS = pytest.mark.parametrize("method", [Released(), Default()], ids=["released", "default"])
 
 
 def solid(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> list[trimesh.Trimesh]:
@@ -105,7 +105,7 @@ class Scene:
         self.assets = dict(reversed(self.assets.items()))
         return self
 
-    def run(self, method: Paper | Default | None = None, seed: int = 0, spread: Callable[..., list[Any]] = in_turn) -> Outcome:
+    def run(self, method: Paper | Released | Default | None = None, seed: int = 0, spread: Callable[..., list[Any]] = in_turn) -> Outcome:
         """What the stage gives; every row passes its schema, and the tables agree with each other."""
         context = Context(scene_id=SCENE, stage="optimization", seed=seed, blobs=self.blobs, spread=spread)
         outcome = run(
@@ -209,7 +209,7 @@ def crowded_scene() -> Scene:
     return scene
 
 
-def optimized(scene: Scene, method: Paper | Default) -> tuple[Outcome, Optimization]:
+def optimized(scene: Scene, method: Released | Default) -> tuple[Outcome, Optimization]:
     outcome = scene.run(method)
     return outcome, outcome.rows["optimizations"][0]
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from schemas.annotation import Annotation
 from tasks.geometry.transforms import flat, translation
-from tasks.optimization import Paper
+from tasks.optimization import Released
 from tasks.optimization.support.balance import draw_back
 from tasks.optimization.support.resting import put_to_rest
 from tests.samples import sample
@@ -68,7 +68,7 @@ def test_what_leans_or_hangs_or_has_no_like_candidate_stays(category: str, secon
 
 def test_what_people_chose_and_the_method_of_the_paper_stay() -> None:
     scene, name, better = fallen_chair()
-    assert scene.run(Paper()).rows["placements"][0].asset_id != better
+    assert scene.run(Released()).rows["placements"][0].asset_id != better
     instance, first = scene.instances[0], scene.selections[0]
     scene.annotations.append(
         sample(

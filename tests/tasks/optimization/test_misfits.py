@@ -9,7 +9,7 @@ import pytest
 
 from schemas.annotation import Annotation
 from tasks.geometry.transforms import translation
-from tasks.optimization import Default, Paper
+from tasks.optimization import Default, Released
 from tests.samples import sample
 from tests.tasks.optimization.scenes import SCENE, Scene, block, bounds, poses_of, remains
 
@@ -42,7 +42,7 @@ def test_a_solid_that_fills_a_bend_gives_way_to_the_shape_that_leaves_it_free() 
 
 def test_the_method_of_the_paper_moves_what_it_was_given() -> None:
     scene, sofa, _, bent = corner_sofa()
-    rows = {row.instance_id: row for row in scene.run(Paper()).rows["placements"]}
+    rows = {row.instance_id: row for row in scene.run(Released()).rows["placements"]}
     assert rows[sofa].asset_id != bent
 
 

@@ -14,7 +14,7 @@ from schemas.optimization import APPLIED
 from schemas.record import arrow_to_rows, rows_to_arrow
 from tasks.furniture import generate
 from tasks.geometry.transforms import matrix, translation, yaw_pose
-from tasks.optimization import Default, Paper, replayed_poses
+from tasks.optimization import Default, Released, replayed_poses
 from tasks.shell import room_shell
 from tasks.stage import in_turn
 from tests.tasks.optimization.scenes import (
@@ -40,7 +40,7 @@ from tests.tasks.optimization.scenes import (
 
 @pytest.mark.whole
 @METHODS
-def test_a_room_is_put_to_rest_and_apart(method: Paper | Default) -> None:
+def test_a_room_is_put_to_rest_and_apart(method: Released | Default) -> None:
     scene = room_scene()
     outcome = scene.run(method)
     rows = {row.instance_id: row for row in outcome.rows["placements"]}
@@ -63,7 +63,7 @@ def test_a_room_is_put_to_rest_and_apart(method: Paper | Default) -> None:
     assert max(row.displacement_m for row in rows.values()) < 0.4
     assert rows[rug].displacement_m == 0.0
     assert rows[picture].lift_m == 0.0
-    if isinstance(method, Paper):
+    if isinstance(method, Released):
         assert rows[picture].displacement_m == 0.0
         moves = {name: matrix(row.optimized_pose)[:2, 3] - matrix(row.proposed_pose)[:2, 3] for name, row in rows.items()}
         assert all(np.allclose(move, np.round(move / method.step_m) * method.step_m, atol=1e-9) for move in moves.values())
@@ -76,7 +76,7 @@ def test_a_room_is_put_to_rest_and_apart(method: Paper | Default) -> None:
 def test_the_default_moves_objects_less_than_the_paper(seed: int) -> None:
     scene = crowded_scene()
     away = []
-    for method in (Paper(), Default()):
+    for method in (Released(), Default()):
         rows = scene.run(method, seed).rows
         # the last resort, which the paper's method has not, parts the two tables that it leaves in each other
         steps = [step for step in rows["optimization_steps"] if step.outcome != "relocated"]
@@ -88,7 +88,7 @@ def test_the_default_moves_objects_less_than_the_paper(seed: int) -> None:
 
 @METHODS
 @pytest.mark.parametrize("height", [0.0, 0.02, 0.1])
-def test_what_floats_comes_down_onto_what_carries_it(method: Paper | Default, height: float) -> None:
+def test_what_floats_comes_down_onto_what_carries_it(method: Released | Default, height: float) -> None:
     scene = Scene()
     scene.add(TABLE, yaw_pose(0.2, [0.0, 0.0, height]), "table")
     scene.add(block(0.1, 0.1, 0.1), translation([0.2, 0.0, 0.75 + height]), "mug")
@@ -161,7 +161,7 @@ def test_a_worktop_stays_at_its_wall_when_its_cabinet_is_hung(off: float) -> Non
 
 @pytest.mark.whole
 @METHODS
-def test_what_is_carried_moves_along(method: Paper | Default) -> None:
+def test_what_is_carried_moves_along(method: Released | Default) -> None:
     """Replaying the carriers' own moves alone takes what they carry with them, rigidly."""
     outcome = crowded_scene().run(method)
     rows = outcome.rows["placements"], outcome.rows["supports"]
@@ -211,7 +211,7 @@ def test_generated_furniture_comes_to_rest_without_collisions(seed: int) -> None
 @pytest.mark.whole
 @METHODS
 @pytest.mark.parametrize("seed", range(3))
-def test_replaying_the_steps_gives_the_optimized_poses_bit_for_bit(method: Paper | Default, seed: int) -> None:
+def test_replaying_the_steps_gives_the_optimized_poses_bit_for_bit(method: Released | Default, seed: int) -> None:
     outcome = crowded_scene().run(method, seed)
     assert {"start", "rested", "kept"} <= {row.outcome for row in outcome.rows["optimization_steps"]}
     tables = ("placements", "supports", "optimization_steps")
@@ -234,7 +234,7 @@ def test_replaying_the_steps_gives_the_optimized_poses_bit_for_bit(method: Paper
 
 @pytest.mark.whole
 @METHODS
-def test_contacts_are_the_penetrations_of_the_meshes_before_and_after(method: Paper | Default) -> None:
+def test_contacts_are_the_penetrations_of_the_meshes_before_and_after(method: Released | Default) -> None:
     """Pieces made anew from the GLBs, put where the rows say; depths from Minkowski differences."""
     scene = room_scene()
     scene.add(TABLE, yaw_pose(0.1, [0.6, 0.3, 0.0]), "table")
@@ -276,7 +276,7 @@ def on_two_processes(function: Callable[[Any], Any], items: Sequence[Any]) -> li
 
 @pytest.mark.whole
 @METHODS
-def test_the_same_scene_gives_the_same_rows_in_any_order_and_in_any_process(method: Paper | Default) -> None:
+def test_the_same_scene_gives_the_same_rows_in_any_order_and_in_any_process(method: Released | Default) -> None:
     first = crowded_scene().run(method, 1)
     spread = on_two_processes if isinstance(method, Default) else in_turn
     second = crowded_scene().reversed().run(method, 1, spread)
@@ -288,17 +288,17 @@ def test_the_same_scene_gives_the_same_rows_in_any_order_and_in_any_process(meth
 
 
 def test_step_zero_of_the_paper_is_the_state_at_rest() -> None:
-    outcome = room_scene().run(Paper(max_steps=0))
+    outcome = room_scene().run(Released(max_steps=0))
     steps = outcome.rows["optimization_steps"]
     assert (steps[0].step, steps[0].outcome, steps[0].instance_id) == (0, "start", None)
     assert {step.outcome for step in steps[1:]} == {"rested"}
     assert {step.loss for step in steps} == {steps[0].loss}
-    assert steps[0].loss == room_scene().run(Paper()).rows["optimization_steps"][0].loss > 0
+    assert steps[0].loss == room_scene().run(Released()).rows["optimization_steps"][0].loss > 0
     assert outcome.rows["optimizations"][0].ended == "out_of_moves"
 
 
 @METHODS
-def test_nothing_gives_way_to_a_rug_or_to_what_it_stands_in(method: Paper | Default) -> None:
+def test_nothing_gives_way_to_a_rug_or_to_what_it_stands_in(method: Released | Default) -> None:
     scene = Scene()
     scene.add(block(1.5, 1.0, 0.02), np.eye(4), "rug")
     scene.add(block(0.4, 0.4, 0.5), translation([0.85, 0.0, 0.0]), "stool")  # a quarter of it on the rug

@@ -11,7 +11,7 @@ import trimesh
 
 from tasks.geometry.pieces import PieceConfig, pieces
 from tasks.geometry.transforms import flat, translation, yaw_pose
-from tasks.optimization import Default, Paper, SupportConfig
+from tasks.optimization import Default, Released, SupportConfig
 from tests.tasks.optimization.scenes import (
     DEEP_M,
     METHODS,
@@ -29,7 +29,7 @@ from tests.tasks.optimization.scenes import (
 
 
 @METHODS
-def test_two_sofas_in_a_closet(method: Paper | Default) -> None:
+def test_two_sofas_in_a_closet(method: Released | Default) -> None:
     scene = Scene(box(0.9, 1.6))
     for x in (-0.05, 0.05):
         scene.add(SOFA, yaw_pose(0.0, [x, 0.0, 0.0]), "sofa")
@@ -44,7 +44,7 @@ def test_two_sofas_in_a_closet(method: Paper | Default) -> None:
 
 
 @METHODS
-def test_an_object_larger_than_the_room(method: Paper | Default) -> None:
+def test_an_object_larger_than_the_room(method: Released | Default) -> None:
     scene = Scene()
     big = scene.add(block(9.0, 8.0, 1.0), np.eye(4), "cabinet")
     scene.add(block(0.4, 0.4, 0.4), translation([0.5, 0.5, 0.0]), "box")
@@ -57,7 +57,7 @@ def test_an_object_larger_than_the_room(method: Paper | Default) -> None:
 
 
 @METHODS
-def test_an_object_higher_than_the_room_is_said(method: Paper | Default) -> None:
+def test_an_object_higher_than_the_room_is_said(method: Released | Default) -> None:
     scene = Scene()
     high = scene.add(block(0.6, 1.0, 5.0), np.eye(4), "wardrobe")
     outcome, summary = optimized(scene, method)
@@ -93,8 +93,8 @@ def test_what_was_pushed_into_another_object_stands_beside_it() -> None:
 
 
 @METHODS
-def test_too_few_steps_are_said(method: Paper | Default) -> None:
-    few = dataclasses.replace(method, **({"max_steps": 3} if isinstance(method, Paper) else {"max_moves": 3, "chains": 2}))  # type: ignore[arg-type]
+def test_too_few_steps_are_said(method: Released | Default) -> None:
+    few = dataclasses.replace(method, **({"max_steps": 3} if isinstance(method, Released) else {"max_moves": 3, "chains": 2}))  # type: ignore[arg-type]
     scene = Scene(box(1.6, 1.2))  # too small to put one of them elsewhere
     for x in (0.0, 0.1):
         scene.add(block(0.9, 0.9, 0.5), translation([x, 0.0, 0.0]))
@@ -106,7 +106,7 @@ def test_too_few_steps_are_said(method: Paper | Default) -> None:
 
 
 @METHODS
-def test_a_table_scanned_upside_down(method: Paper | Default) -> None:
+def test_a_table_scanned_upside_down(method: Released | Default) -> None:
     scene = Scene()
     table = scene.add(TABLE, np.diag([1.0, -1.0, -1.0, 1.0]) + translation([0.0, 0.0, 0.75]) - np.eye(4), "table")
     mug = scene.add(block(0.1, 0.1, 0.1), translation([0.0, 0.0, 0.3]), "mug")
@@ -146,7 +146,7 @@ MESHES = {
 
 @METHODS
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
-def test_meshes_without_volume_or_with_holes(method: Paper | Default, mesh: trimesh.Trimesh) -> None:
+def test_meshes_without_volume_or_with_holes(method: Released | Default, mesh: trimesh.Trimesh) -> None:
     """They stand, collide and are moved like any other."""
     scene = Scene()
     mesh.visual.vertex_colors = np.full((len(mesh.vertices), 4), 200, dtype=np.uint8)
@@ -174,7 +174,7 @@ def test_a_box_without_a_lid() -> None:
         scene = Scene()
         scene.add([mesh], translation([0.0, 0.0, 0.02]))
         scene.add(block(0.5, 0.5, 0.5), translation([way, 0.0, 0.0]), "box")
-        scene.run(Paper())  # the first decomposes
+        scene.run(Released())  # the first decomposes
         _, summary = optimized(scene, Default())
         assert (summary.loss_final, summary.deep_pairs) == (0.0, 0)
         assert [("moved by" in line) for line in summary.remains] == [True] * is_put_elsewhere
@@ -196,7 +196,7 @@ WRONG += [(np.eye(4), scale) for scale in ((0.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (1
 
 @METHODS
 @pytest.mark.parametrize(("pose", "scale"), WRONG, ids=[*wrong_poses(), "zero scale", "negative scale", "nan scale", "infinite scale"])
-def test_poses_and_scales_that_are_none(method: Paper | Default, pose: np.ndarray, scale: tuple[float, ...]) -> None:
+def test_poses_and_scales_that_are_none(method: Released | Default, pose: np.ndarray, scale: tuple[float, ...]) -> None:
     """The object is left out, with a word; the others are placed as if it had not been there."""
     scene, without = Scene(), Scene()
     name = scene.add(block(0.5, 0.5, 0.5), np.eye(4), "box")
@@ -214,7 +214,7 @@ def test_poses_and_scales_that_are_none(method: Paper | Default, pose: np.ndarra
 
 
 @METHODS
-def test_a_blob_that_is_missing_or_none(method: Paper | Default) -> None:
+def test_a_blob_that_is_missing_or_none(method: Released | Default) -> None:
     scene = Scene()
     gone, broken, _ = (scene.add(block(0.3, 0.3, 0.3 + i / 10), translation([i - 1.0, 0, 0])) for i in range(3))
     for name, blob in ((gone, "e" * 64 + ".glb"), (broken, scene.blobs.add(b"no mesh", "glb"))):
@@ -229,7 +229,7 @@ def test_a_blob_that_is_missing_or_none(method: Paper | Default) -> None:
 
 
 @METHODS
-def test_an_empty_scene_is_no_error(method: Paper | Default) -> None:
+def test_an_empty_scene_is_no_error(method: Released | Default) -> None:
     outcome, summary = optimized(Scene(), method)
     assert {table: len(rows) for table, rows in outcome.rows.items()} == {
         "placements": 0, "supports": 0, "contacts": 0, "optimization_steps": 1, "optimizations": 1, "certificates": 0,
@@ -238,7 +238,7 @@ def test_an_empty_scene_is_no_error(method: Paper | Default) -> None:
 
 
 @METHODS
-def test_without_a_room_it_is_said_and_done_all_the_same(method: Paper | Default) -> None:
+def test_without_a_room_it_is_said_and_done_all_the_same(method: Released | Default) -> None:
     scene = room_scene()
     scene.shells = []
     outcome, summary = optimized(scene, method)
@@ -249,7 +249,7 @@ def test_without_a_room_it_is_said_and_done_all_the_same(method: Paper | Default
 
 @METHODS
 @pytest.mark.parametrize("polygon", [((-2, -2), (2, 2), (2, -2), (-2, 2)), ((0, 0), (1, 0), (2, 0)), ((0, 0), (0, 0), (0, 0))])
-def test_a_room_that_crosses_itself_or_has_no_area_is_said(method: Paper | Default, polygon: Any) -> None:
+def test_a_room_that_crosses_itself_or_has_no_area_is_said(method: Released | Default, polygon: Any) -> None:
     scene = Scene(tuple((float(x), float(y)) for x, y in polygon))
     for x in (0.0, 0.3):
         scene.add(block(0.5, 0.5, 0.5), translation([x, 0.0, 0.0]))
@@ -272,8 +272,8 @@ def test_what_is_far_outside_comes_in() -> None:
 def test_a_method_that_cannot_be_is_refused(values: dict[str, float]) -> None:
     (field,) = values
     with pytest.raises(ValueError, match=f"^{field}: must be "):
-        Paper(**values)  # type: ignore[arg-type]
-    assert Paper(max_steps=0, shift_reach=0).max_steps == 0
+        Released(**values)  # type: ignore[arg-type]
+    assert Released(max_steps=0, shift_reach=0).max_steps == 0
 
 
 @pytest.mark.parametrize("values", [{"cell_m": 0.0}, {"base_m": 0.0}, {"reach_m": -0.1}, {"share": 1.5}, {"rest_quantile": float("nan")}])

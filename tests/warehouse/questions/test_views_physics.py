@@ -30,6 +30,9 @@ from tests.warehouse.questions.view_answers import (
     same,
 )
 
+UNITS = {"paper": "1", "released": "m3", "default": "m"}
+"""Unit of a method's loss."""
+
 
 @pytest.fixture(scope="module")
 def database() -> Iterator[Database]:
@@ -90,7 +93,7 @@ def physics(draw: st.DrawFn) -> list[Any]:
             lines = draw(st.lists(st.sampled_from(["0001: sinks into the floor", "0003: stands in 0002", "no room is known"]), unique=True))
             rows.append(
                 sample(
-                    Optimization, scene_id=scene, method=draw(st.sampled_from(["paper", "default"])), object_count=len(placed),
+                    Optimization, scene_id=scene, method=draw(st.sampled_from(["paper", "released", "default"])), object_count=len(placed),
                     loss_start=draw(EXACT), loss_final=draw(EXACT), moves=draw(st.integers(0, 9)), remains=tuple(lines),
                 )
             )  # fmt: skip
@@ -122,7 +125,7 @@ def test_collision_loss_before_and_after(database: Database, rows: list[Any]) ->
         before, after = deep(rows, scene, "proposed"), deep(rows, scene, "optimized")
         outcomes = [r.outcome for r in of(rows, OptimizationStep) if r.scene_id == scene]
         same(
-            row, method=optimization["method"], loss_unit={"paper": "m3", "default": "m", None: None}[optimization["method"]],
+            row, method=optimization["method"], loss_unit=UNITS.get(optimization["method"]),
             loss_before=optimization["loss_start"], loss_after=optimization["loss_final"], moves=optimization["moves"],
             applied_steps=sum(outcome in APPLIED for outcome in outcomes), deep_pairs_before=sum(d > 0.002 for d in before),
             deep_pairs_after=sum(d > 0.002 for d in after), deepest_before_m=max(before, default=0.0),

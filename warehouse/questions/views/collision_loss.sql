@@ -1,7 +1,7 @@
 -- How much do the assets of a scene collide before and after the optimization?
--- Version 1.
--- The loss is overlap volume in m3 by the method 'paper', penetration depth in m by 'default'. A pair is deep beyond 2 mm; pairs that
--- may interpenetrate, such as a picture and its wall, are left out.
+-- Version 2.
+-- The loss is a sum of IoU by the method 'paper', overlap volume in m3 by 'released', penetration depth in m by 'default'. A pair is
+-- deep beyond 2 mm; pairs that may interpenetrate, such as a picture and its wall, are left out.
 WITH steps AS (
     SELECT
         scene_id,
@@ -23,7 +23,7 @@ touching AS (
 SELECT
     scene_id,
     optimizations.method,
-    CASE optimizations.method WHEN 'paper' THEN 'm3' WHEN 'default' THEN 'm' END AS loss_unit,
+    CASE optimizations.method WHEN 'paper' THEN '1' WHEN 'released' THEN 'm3' WHEN 'default' THEN 'm' END AS loss_unit,
     optimizations.loss_start AS loss_before,
     optimizations.loss_final AS loss_after,
     optimizations.moves,

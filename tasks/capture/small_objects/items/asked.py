@@ -37,7 +37,7 @@ class AskedItems(EndpointSettings):
 
     kind: ClassVar[str] = "asked"
     prompt: Literal["corrected", "paraphrased"] = "corrected"  # `paraphrased` asks as the supplementary does, for a bare list (Table A1)
-    prompt_file: str = ""  # text file with a prompt of your own, {category} and {outside} in it: the supplementary's words are not ours to ship
+    prompt_file: str = ""  # text file with your own words, such as the paper's; {category} and {outside} are filled in
     prompt_version: str = dataclasses.field(init=False)  # from the prompt's text
     mask_style: MaskStyle = "dim"  # `hard`, as in the paper, removes what stands taller than the support's mask
     dilation: Share = 0.05  # of the mask, in longer sides of its box (specs A.3)

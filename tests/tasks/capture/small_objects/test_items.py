@@ -112,7 +112,7 @@ def test_a_prompt_that_cannot_be_filled_in_is_refused(tmp_path: Path, text: byte
     (tmp_path / "mine.txt").write_bytes(text)
     with pytest.raises(InputError, match=problem):
         AskedItems(prompt_file=str(tmp_path / "mine.txt"))
-    with pytest.raises(InputError, match="prompt_file|cannot be read|missing"):
+    with pytest.raises(InputError, match=r"away\.txt"):
         AskedItems(prompt_file=str(tmp_path / "away.txt"))
 
 
