@@ -72,6 +72,11 @@ def one_line(text: object) -> str:
     return shown(" ".join(str(text).split()))
 
 
+def is_one_line(text: str) -> bool:
+    """True if a text has no line breaks, tabs or characters that command a terminal."""
+    return not _COMMANDS.search(text) and not any(sign in text for sign in "\n\t")
+
+
 def _code(match: re.Match[str]) -> str:
     code = ord(match[0])
     if code < 0x10000:
