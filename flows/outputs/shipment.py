@@ -15,9 +15,10 @@ from schemas.json_values import json_value
 from schemas.lineage.licenses import UNKNOWN, of_asset, scan_of, stated
 from schemas.navigation import Episode
 from schemas.optimization import Placement, Support
+from schemas.text import markdown_cell
 from schemas.wording import counted
 from warehouse.lake import Lake
-from warehouse.release.attribution import attribution_of_rows, cell
+from warehouse.release.attribution import attribution_of_rows
 from warehouse.release.licenses import Allowed, with_licenses_of_scans
 from warehouse.tables.snapshot import Reader
 
@@ -71,7 +72,7 @@ class Shipment:
                 lines += [f"## {head}", "", "| which | what | license | why |", "|---|---|---|---|"]
                 for row in rows:
                     which = row.scene_id if row.instance_id is None else f"{row.scene_id}/{row.instance_id}"
-                    lines.append("| " + " | ".join(cell(text) for text in (which, row.what, row.license, row.reason)) + " |")
+                    lines.append("| " + " | ".join(markdown_cell(text) for text in (which, row.what, row.license, row.reason)) + " |")
                 lines.append("")
         return "\n".join(lines)
 

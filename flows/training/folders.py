@@ -28,6 +28,7 @@ from schemas.errors import InputError
 from schemas.files import read_file, write_whole
 from schemas.json_values import json_value
 from schemas.runs import StageRun
+from schemas.text import markdown_cell, one_line
 from schemas.training import LearnedModel, ModelEvaluation
 from tasks.models import CARD, DOCUMENT, FORMAT, MOST_DOCUMENT_BYTES, WEIGHTS, Model, ModelFolder, refuse_difference
 from warehouse.lake import Lake
@@ -92,20 +93,20 @@ def card_of(document: Mapping[str, Any], size: int) -> str:
         f"A model of the learned system `{document['kind']}`: {document['parameter_count']:,} numbers in {size / 1e6:.2f} MB.",
         "",
         f"- model: `{document['model_id']}`",
-        f"- learned from: {document['dataset']} (content `{document['dataset_fingerprint'][:12]}`), examples: {examples}",
-        f"- license of what it learned from, and its own: {document['license']}",
+        f"- learned from: {one_line(document['dataset'])} (content `{document['dataset_fingerprint'][:12]}`), examples: {examples}",
+        f"- license of what it learned from, and its own: {one_line(document['license'])}",
         f"- seed {document['seed']}, code `{document['code_fingerprint'][:12]}`, on {document['device']}",
     ]
     if document["parent_id"]:
         lines.append(f"- training began with the weights of `{document['parent_id'][:12]}`")
     if document["is_fallback"]:
         lines.append("- a part of it stands in for one whose weights were not there")
-    lines += [f"- {note}" for note in document["notes"]]
+    lines += [f"- {one_line(note)}" for note in document["notes"]]
     if document["measures"]:
         lines += ["", "| of | examples | split | figure | value | 95 % interval | n |", "|---|---|---|---|---|---|---|"]
     for figure in document["measures"]:
         interval = f"{figure['low']:.4g} to {figure['high']:.4g}" if figure["low"] is not None and figure["high"] is not None else ""
-        head = f"| {figure['method']} | {figure['dataset']} | {figure['split']} | {figure['metric']}"
+        head = "| " + " | ".join(markdown_cell(figure[name]) for name in ("method", "dataset", "split", "metric"))
         lines.append(f"{head} | {figure['value']:.4g} | {interval} | {figure['examples']:,} |")
     lines += ["", f"`metascenes models import` takes this folder into a lake; its settings are in `{DOCUMENT}`.", ""]
     return "\n".join(lines)
