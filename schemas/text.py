@@ -72,6 +72,25 @@ def one_line(text: object) -> str:
     return shown(" ".join(str(text).split()))
 
 
+_MARKS = re.compile(r"[\\|`*\[\]]")
+
+
+def markdown_cell(value: object) -> str:
+    """Anything's text, as it may be shown, for a line or a table cell of Markdown: no table, link, image, code or HTML begins in it."""
+    text = f"{value:,}" if isinstance(value, int) else one_line(value)
+    return _MARKS.sub(lambda mark: f"\\{mark[0]}", text).replace("<", "&lt;")
+
+
+def page_text(text: str) -> str:
+    """A page for people, with lines: control characters other than new lines are escaped or, if they are tabs, spaces."""
+    return escaped(text.replace("\t", " "))
+
+
+def is_one_line(text: str) -> bool:
+    """True if a text has no line breaks, tabs or characters that command a terminal."""
+    return not _COMMANDS.search(text) and not any(sign in text for sign in "\n\t")
+
+
 def _code(match: re.Match[str]) -> str:
     code = ord(match[0])
     if code < 0x10000:

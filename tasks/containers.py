@@ -12,7 +12,8 @@ from typing import Any
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from tasks.unpacking import image_pixels, json_value
+from schemas.json_values import json_value
+from tasks.unpacking import image_pixels
 
 GLB_MAGIC = b"glTF"
 """What every GLB begins with."""

@@ -16,7 +16,7 @@ from typing import Any
 
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.text import cut
+from schemas.text import cut, is_one_line
 from tasks.batches import parse_json
 from tasks.settings import LARGEST, Config, fields_of, shown
 from tasks.weights import from_safetensors
@@ -72,6 +72,9 @@ _FIELDS: dict[str, type | tuple[type, ...]] = {
 
 def _wrong(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Fields whose values cannot be used, and why, of a document whose fields have the types that they should have."""
+    for field in (name for name in _FIELDS if isinstance(document[name], str)):
+        if not is_one_line(document[field]):
+            yield field, f"must be one line without control characters, is {shown(document[field])}"
     for field in ("parameter_count", "seed"):
         if not -LARGEST <= document[field] <= LARGEST:
             yield field, "is too large"
@@ -83,6 +86,8 @@ def _wrong(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for place, note in enumerate(document["notes"]):
         if not isinstance(note, str):
             yield "notes", f"line {place + 1} must be a text, is {shown(note)}"
+        elif not is_one_line(note):
+            yield "notes", f"line {place + 1} must be one line without control characters, is {shown(note)}"
     seconds = document.get("seconds", 0.0)
     if type(seconds) not in (int, float) or not 0 <= seconds <= LARGEST:
         yield "seconds", f"must be a number of at least 0, is {shown(seconds)}"
@@ -91,6 +96,52 @@ def _wrong(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield "measures", f"item {place + 1} must be a table, is {shown(figure)}"
         elif any(type(value) is int and abs(value) > LARGEST for value in figure.values()):
             yield "measures", f"item {place + 1} has a number that is too large"
+        elif any(isinstance(value, str) and not is_one_line(value) for value in figure.values()):
+            yield "measures", f"item {place + 1} has a text with a new line or a control character"
+
+
+WITHDRAWN = "withdrawn: "
+"""Start of the note that a lake adds to a withdrawn model."""
+
+_FACTS = ("kind", "architecture", "parameter_count", "license", "dataset", "dataset_fingerprint", "examples", "seed", "code_fingerprint",
+          "device", "parent_id", "is_fallback", "notes")  # fmt: skip
+
+
+def refuse_difference(name: str, document: Mapping[str, Any], known: Mapping[str, Any], owner: str) -> None:
+    """Compare a model's document with the one known for the same weights. A figure that only `known` has is not a difference.
+
+    Args:
+        name: file name of `document` for messages.
+        document: content of a foreign `model.json`.
+        known: content of `model.json` for the model in the lake or the package.
+        owner: `known` in words, for messages.
+
+    Raises:
+        InputError: a field differs.
+    """
+    pairs = [(field, _comparable(document, field), _comparable(known, field)) for field in _FACTS]
+    known_figures = _figures_by_name(known)
+    pairs += [(f"measures of {place}", value, known_figures.get(place)) for place, value in _figures_by_name(document).items()]
+    for field, value, other in pairs:
+        if value != other:
+            problem = f"is {shown(value)}, and {shown(other)} in {owner} with the same weights"
+            raise InputError(name, field, problem, "ask its author for the unchanged folder")
+
+
+def _comparable(document: Mapping[str, Any], field: str) -> Any:
+    """A fact of a model without the notes that its withdrawal added."""
+    value = document[field]
+    return [note for note in value if not note.startswith(WITHDRAWN)] if field == "notes" else value
+
+
+def _figures_by_name(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Value, interval and number of examples for each figure."""
+    return {
+        ", ".join(str(figure[key]) for key in ("method", "dataset", "split", "metric")): [
+            figure[key] for key in ("value", "low", "high", "examples")
+        ]
+        for figure in document["measures"]
+    }
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from schemas.files import open_file
+from schemas.json_values import json_value
 
 MOST_BYTES = 8 << 30
 """Of a file of weights; the largest foreign encoders have a quarter of it."""
@@ -76,7 +77,7 @@ def from_safetensors(data: bytes, name: str = "weights") -> dict[str, NDArray[An
     if not 2 <= length <= min(MOST_HEADER_BYTES, len(data) - 8):
         refuse("header", "is missing or cut off")
     try:
-        header = json.loads(data[8 : 8 + length].decode(), parse_constant=lambda text: refuse("header", f"holds {text}"))
+        header = json_value(data[8 : 8 + length].decode(), parse_constant=lambda text: refuse("header", f"holds {text}"))
     except (ValueError, RecursionError):
         refuse("header", "is no JSON")
     if not isinstance(header, dict) or len(header) > MOST_TENSORS:

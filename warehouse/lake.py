@@ -18,6 +18,7 @@ from typing import Any
 
 from schemas.calls import ModelCall
 from schemas.errors import InputError, RecordError
+from schemas.json_values import json_value
 from schemas.runs import Snapshot, StageRun
 from schemas.tables import TABLES
 from warehouse.sharing.claims import Claim, Claims, claims_of, sweep_claims
@@ -309,7 +310,7 @@ class Lake:
         """Whether the address is marked as a lake."""
         with contextlib.suppress(FileNotFoundError):
             try:
-                version = int(json.loads(self.storage.read(MARKER))["format"])
+                version = int(json_value(self.storage.read(MARKER))["format"])
             except (ValueError, KeyError, TypeError):
                 raise InputError(f"{self.address}/{MARKER}", "format", "cannot be read", "restore the file") from None
             if version > FORMAT:

@@ -12,6 +12,7 @@ import click
 
 from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options
 from schemas.wording import counted
+from tasks.exports.findings import Finding
 from tasks.exports.format import ExportFormat
 from tasks.exports.formats import FORMATS
 
@@ -42,12 +43,13 @@ def _gate(format_: ExportFormat) -> click.Command:
     argument, kind = _TAKES[doctor.takes]
 
     def check(budget: float, as_json: bool, **given: Any) -> None:
-        from flows.run.bounds import findings_of
+        from flows.run.bounds import RULE, findings_of
 
-        checks = [format_.check, *(format_.validator(name) for name, _ in doctor.validators if given[name])]
-        findings = [
-            finding for check in checks for finding in findings_of(check, given[argument], budget, names_others=doctor.names_others)
-        ]
+        findings: list[Finding] = []
+        for check in [format_.check, *(format_.validator(name) for name, _ in doctor.validators if given[name])]:
+            findings += findings_of(check, given[argument], budget, names_others=doctor.names_others)
+            if any(finding.rule == RULE for finding in findings):  # a file takes its budget once, not again for each validator
+                break
         _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
     made = budget_option(json_option(check))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flows.commands.options import existing_lake, json_option, lake_option
+from schemas.json_values import json_value
 from schemas.wording import noun
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def show(name: str, address: str, as_json: bool) -> None:
     lake = existing_lake(address)
     release_of(lake, name)
     data = lake.storage.read(f"{folder_of(name)}/{RECORD if as_json else 'README.md'}").decode()
-    print(json.dumps(json.loads(data)) if as_json else without_head(data), end="\n" if as_json else "")
+    print(json.dumps(json_value(data)) if as_json else without_head(data), end="\n" if as_json else "")
 
 
 @command.command("diff")

@@ -11,6 +11,7 @@ from flows.progress import Progress
 from flows.run.fingerprints import code_fingerprint
 from flows.run.pool import WorkerPool
 from schemas.errors import InputError
+from schemas.json_values import json_value
 
 MARK = "made.json"
 """Beside the scans: which code and seed made them. A demo that finds the same again keeps its scans."""
@@ -45,7 +46,7 @@ def make_scans(folder: Path, count: int, seed: int, workers: int) -> int:
 def _mark(path: Path) -> object:
     """What the mark says; None where there is none, or none that can be read."""
     try:
-        return json.loads(path.read_text())
+        return json_value(path.read_text())
     except (OSError, ValueError):
         return None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from flows.run.configuration import Configuration
 from flows.run.fingerprints import canonical_json, digest
 from flows.worker import execute
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks.evaluation import check_batch
 from tasks.evaluation.batch import read_batch
 from tasks.stage import Spread
@@ -111,7 +111,7 @@ def _held(history: Mapping[Key, StageState], batch_id: str) -> _Held | None:
     if state is None or state.done is None:
         return None
     reasons = dict(part.split("=", 1) for part in state.done.reasons)
-    return _Held(reasons["trajectory_batch"], float(json.loads(state.done.config)["success_m"]))
+    return _Held(reasons["trajectory_batch"], float(json_value(state.done.config)["success_m"]))
 
 
 def _advancing(progress: Progress) -> Spread:

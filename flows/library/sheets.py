@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from schemas.errors import InputError
 from schemas.files import write_whole
+from schemas.text import page_text
 from schemas.wording import counted
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def _page(models: Sequence[LibraryModel], blobs: Mapping[str, bytes]) -> bytes:
         picture = base64.b64encode(blobs[model.thumbnail_blob]).decode()
         size = " x ".join(f"{side:.2f}" for side in model.extents)
         lines = (model.category, model.name, f"{size} m", model.license, f"{model.library}: {model.file}")
-        texts = "".join(f"<span>{html.escape(line)}</span>" for line in lines)
+        texts = "".join(f"<span>{html.escape(page_text(line))}</span>" for line in lines)
         cells.append(f'<figure><img alt="" src="data:image/png;base64,{picture}"><figcaption>{texts}</figcaption></figure>')
     return f'<!doctype html><meta charset="utf-8"><title>Models</title><style>{_STYLE}</style><main>{"".join(cells)}</main>'.encode()
 

@@ -18,6 +18,7 @@ from schemas.capture import Instance, Scene
 from schemas.errors import InputError
 from schemas.exports import ExportFile
 from schemas.files import read_file
+from schemas.json_values import json_value
 from schemas.lineage import Lineage, Place, RunFacts
 from schemas.training import LearnedModel
 from tasks.exports.format import ExportFormat
@@ -102,7 +103,7 @@ def _usual(stage: str) -> tuple[Any, dict[str, str]] | None:
     from flows.run.configuration import configure
 
     config = configure().stages.get(stage)
-    default = json.loads(json.dumps(canonical(config))) if config is not None else None
+    default = json_value(json.dumps(canonical(config))) if config is not None else None
     return (default.get("type"), dict(_flat(default))) if default is not None else None
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,12 +11,14 @@ from typing import Any
 
 from schemas.capture import Instance
 from schemas.exports import ExportCheck, ExportFile
+from schemas.json_values import json_value
 from schemas.lineage.licenses import UNKNOWN, of_asset, scan_of, stated
 from schemas.navigation import Episode
 from schemas.optimization import Placement, Support
+from schemas.text import markdown_cell
 from schemas.wording import counted
 from warehouse.lake import Lake
-from warehouse.release.attribution import attribution_of_rows, cell
+from warehouse.release.attribution import attribution_of_rows
 from warehouse.release.licenses import Allowed, with_licenses_of_scans
 from warehouse.tables.snapshot import Reader
 
@@ -71,7 +72,7 @@ class Shipment:
                 lines += [f"## {head}", "", "| which | what | license | why |", "|---|---|---|---|"]
                 for row in rows:
                     which = row.scene_id if row.instance_id is None else f"{row.scene_id}/{row.instance_id}"
-                    lines.append("| " + " | ".join(cell(text) for text in (which, row.what, row.license, row.reason)) + " |")
+                    lines.append("| " + " | ".join(markdown_cell(text) for text in (which, row.what, row.license, row.reason)) + " |")
                 lines.append("")
         return "\n".join(lines)
 
@@ -211,7 +212,7 @@ def _export_settings(reader: Reader, scene_id: str) -> tuple[Any, int]:
     if not rows:  # the rows are there, so their run was before runs were kept
         return ExportsConfig(), 0
     seeds = [reason.partition("=")[2] for reason in rows[0][1] if reason.startswith("seed=")]
-    return _restored(ExportsConfig(), json.loads(rows[0][0])), int(seeds[0]) if seeds else 0
+    return _restored(ExportsConfig(), json_value(rows[0][0])), int(seeds[0]) if seeds else 0
 
 
 def _restored(default: Any, value: Any) -> Any:

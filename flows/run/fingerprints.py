@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.files import open_file, sane_bytes, write_whole
+from schemas.json_values import json_value
 from schemas.tables import TABLES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -101,7 +102,7 @@ CODE_STORE = "code_fingerprints.json"
 def _remembered(store: Mapping[str, bytes]) -> dict[str, str]:
     """Fingerprints of modules that were found for the files as they are now."""
     try:
-        read = json.loads(store[CODE_STORE])
+        read = json_value(store[CODE_STORE])
         hashes = {str(name): str(value) for name, value in read["modules"].items()} if read["contents"] == _contents_of_rooms() else {}
     except (KeyError, ValueError, TypeError, AttributeError):
         return {}
@@ -232,7 +233,7 @@ class FileHashes:
         self._known: dict[str, list[Any]] = {}
         self._changed = False
         try:
-            read = json.loads(self._store.read_text())
+            read = json_value(self._store.read_text())
         except (OSError, ValueError):
             read = None
         if isinstance(read, dict):  # anything else was not written by us, or not whole

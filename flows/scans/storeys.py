@@ -15,6 +15,7 @@ from flows.run.identity import content_of
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.json_values import json_value
 from tasks.capture.formats import survey
 from tasks.capture.layout import STOREYS_RECORD
 from tasks.capture.scan import Scan
@@ -107,7 +108,7 @@ def _record(folder: Path) -> dict[str, Any] | None:
         return None
     name = f"{folder.name}/{STOREYS_RECORD}"
     try:
-        record = json.loads(read_file(path, name, BUDGET.settings_bytes))
+        record = json_value(read_file(path, name, BUDGET.settings_bytes))
         _ = record["scene_id"], [(str(storey["scan"]), float(storey["floor_m"])) for storey in record["storeys"]]
     except (ValueError, TypeError, KeyError) as error:
         raise InputError(name, "content", "is no record of storeys", "remove the folder") from error

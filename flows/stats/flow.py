@@ -19,6 +19,7 @@ from flows.run.parameters import Address
 from flows.server.artifacts import Ticker, link_of, public_address, short_name
 from flows.stats.report import Written, write_report
 from schemas.errors import InputError
+from schemas.text import page_text
 from schemas.wording import counted
 from tasks.stats.columns import GRIDS
 from tasks.stats.grids import Grid, grid
@@ -141,7 +142,7 @@ def _summary(written: Written) -> str:
     headline: pa.Table = written.answers.rows["headline"]
     rows = [f"| {name.replace('_', ' ')} | {_cell(value)} |" for name, value in headline.to_pylist()[0].items()]
     shown = [f"- {picture.title}: {picture.alt}" for picture in written.pictures]
-    return "\n".join(["# Scene lake", "", "| what | how many |", "| --- | ---: |", *rows, "", "## Pictures", "", *shown])
+    return page_text("\n".join(["# Scene lake", "", "| what | how many |", "| --- | ---: |", *rows, "", "## Pictures", "", *shown]))
 
 
 def _cell(value: Any) -> str:

@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import pyarrow as pa
 
 from flows.run.fingerprints import PICTURES, FileCache, cache_folder, code_fingerprint, digest
+from schemas.json_values import json_value
 from tasks.films.drives import DriveStill
 from tasks.films.walks import WalkStrip
 from tasks.stats.scenes import ScenePictures
@@ -62,7 +63,7 @@ def remembered(facts: Sequence[Any], draw: Callable[[], T]) -> T:
     store = _cache()
     key = digest(*map(_text, facts))
     try:
-        picture: T = _made(json.loads(store[key]))
+        picture: T = _made(json_value(store[key]))
         return picture
     except (KeyError, ValueError, TypeError):  # not there, or not whole
         pass

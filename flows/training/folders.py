@@ -14,12 +14,23 @@ from pathlib import Path
 from typing import Any
 
 from flows.run.fingerprints import digest
-from flows.training.models import evaluations_of_model, found_model, is_known, loaded_model, row_of_document, shipped_models, system_names
+from flows.training.models import (
+    bundled_folder,
+    evaluations_of_model,
+    found_model,
+    is_known,
+    loaded_model,
+    row_of_document,
+    shipped_rows,
+    system_names,
+)
 from schemas.errors import InputError
 from schemas.files import read_file, write_whole
+from schemas.json_values import json_value
 from schemas.runs import StageRun
+from schemas.text import markdown_cell, one_line
 from schemas.training import LearnedModel, ModelEvaluation
-from tasks.models import CARD, DOCUMENT, FORMAT, MOST_DOCUMENT_BYTES, WEIGHTS, Model, ModelFolder
+from tasks.models import CARD, DOCUMENT, FORMAT, MOST_DOCUMENT_BYTES, WEIGHTS, Model, ModelFolder, refuse_difference
 from warehouse.lake import Lake
 
 
@@ -32,8 +43,8 @@ def export_model(lake: Lake | None, wanted: str, out: Path, force: bool = False)
         InputError: there is no such model, its weights are gone, or something is at `out` and `force` is not set.
     """
     reader = lake.snapshot() if lake is not None else None
-    row, name = found_model(reader, wanted)
-    files = _files(lake, reader, row, name)
+    row, _ = found_model(reader, wanted)
+    files = _files(lake, reader, row)
     if out.exists() and not force:
         raise InputError(str(out), "--out", "is there already", "name another place, or give --force")
     if out.exists() and not out.is_dir():
@@ -44,10 +55,10 @@ def export_model(lake: Lake | None, wanted: str, out: Path, force: bool = False)
     return row, [out / each for each in files]
 
 
-def _files(lake: Lake | None, reader: Any, row: LearnedModel, name: str) -> dict[str, bytes]:
+def _files(lake: Lake | None, reader: Any, row: LearnedModel) -> dict[str, bytes]:
     """Files of a model by name; `model.json` last, so that a folder without it is none."""
-    if row.origin == "shipped":
-        folder = dict(shipped_models(row.kind))[name]
+    folder = bundled_folder(row.model_id)
+    if folder is not None:
         return {
             WEIGHTS: folder.model.weights,
             **{each: read_file(folder.folder / each, each, MOST_DOCUMENT_BYTES) for each in (CARD, DOCUMENT)},
@@ -66,7 +77,7 @@ def document_of(row: LearnedModel, figures: list[ModelEvaluation]) -> dict[str, 
     return {
         "format": FORMAT,
         **{name: getattr(row, name) for name in kept},
-        "config": json.loads(row.config),
+        "config": json_value(row.config),
         "examples": {split: int(count) for split, _, count in (entry.partition("=") for entry in row.examples)},
         "notes": list(row.notes),
         "measures": [{name: getattr(figure, name) for name in measures} for figure in figures],
@@ -82,20 +93,20 @@ def card_of(document: Mapping[str, Any], size: int) -> str:
         f"A model of the learned system `{document['kind']}`: {document['parameter_count']:,} numbers in {size / 1e6:.2f} MB.",
         "",
         f"- model: `{document['model_id']}`",
-        f"- learned from: {document['dataset']} (content `{document['dataset_fingerprint'][:12]}`), examples: {examples}",
-        f"- license of what it learned from, and its own: {document['license']}",
+        f"- learned from: {one_line(document['dataset'])} (content `{document['dataset_fingerprint'][:12]}`), examples: {examples}",
+        f"- license of what it learned from, and its own: {one_line(document['license'])}",
         f"- seed {document['seed']}, code `{document['code_fingerprint'][:12]}`, on {document['device']}",
     ]
     if document["parent_id"]:
         lines.append(f"- training began with the weights of `{document['parent_id'][:12]}`")
     if document["is_fallback"]:
         lines.append("- a part of it stands in for one whose weights were not there")
-    lines += [f"- {note}" for note in document["notes"]]
+    lines += [f"- {one_line(note)}" for note in document["notes"]]
     if document["measures"]:
         lines += ["", "| of | examples | split | figure | value | 95 % interval | n |", "|---|---|---|---|---|---|---|"]
     for figure in document["measures"]:
         interval = f"{figure['low']:.4g} to {figure['high']:.4g}" if figure["low"] is not None and figure["high"] is not None else ""
-        head = f"| {figure['method']} | {figure['dataset']} | {figure['split']} | {figure['metric']}"
+        head = "| " + " | ".join(markdown_cell(figure[name]) for name in ("method", "dataset", "split", "metric"))
         lines.append(f"{head} | {figure['value']:.4g} | {interval} | {figure['examples']:,} |")
     lines += ["", f"`metascenes models import` takes this folder into a lake; its settings are in `{DOCUMENT}`.", ""]
     return "\n".join(lines)
@@ -106,7 +117,8 @@ def import_model(lake: Lake, source: Path, dry_run: bool = False) -> tuple[Learn
 
     Raises:
         InputError: something that is no model of this kind: another format, a file that could run, weights that are cut off or not
-            those of its name, or a learned system that is not known here.
+            those of its name, a learned system that is not known here, or other facts than those of the same model in the lake or
+            the package.
     """
     if not source.is_dir():
         remedy = f"give a folder with {DOCUMENT} and {WEIGHTS}, as `metascenes models export` writes it"
@@ -123,7 +135,18 @@ def _taken_in(lake: Lake, folder: ModelFolder, name: str, dry_run: bool) -> tupl
     training_id = f"import-{model.model_id[:16]}"
     row = row_of_document(document, training_id, "imported", f"{hashlib.sha256(model.weights).hexdigest()}.weights", len(model.weights))
     figures = _figures(document, row, name)
-    known = {each.model_id: each for each in lake.snapshot().rows(LearnedModel)}.get(row.model_id) if lake.exists else None
+    bundled = bundled_folder(row.model_id)
+    if bundled is not None:
+        refuse_difference(f"{name}/{DOCUMENT}", document, bundled.document, "the bundled model")
+        return next(each for each in shipped_rows().values() if each.model_id == row.model_id), False
+    reader = lake.snapshot() if lake.exists else None
+    rows_of_lake = reader.rows(LearnedModel) if reader is not None else []
+    known = next((each for each in rows_of_lake if each.model_id == row.model_id), None)
+    if known is not None and reader is not None:
+        refuse_difference(f"{name}/{DOCUMENT}", document, document_of(known, evaluations_of_model(reader, known)), "the model in the lake")
+    if any(each.training_id == training_id and each.model_id != row.model_id for each in rows_of_lake):
+        problem = "begins like the id of another model that was imported into the lake"
+        raise InputError(f"{name}/{DOCUMENT}", "model_id", problem, "train the model with another seed")
     if known is not None and not known.is_withdrawn:
         return known, False
     if known is None or known.origin != "trained":  # what was trained here fits
@@ -200,7 +223,7 @@ def withdraw_model(lake: Lake, wanted: str, reason: str, dry_run: bool = False) 
         InputError: there is no such model, or it is one of the package, which no lake can withdraw.
     """
     row, name = found_model(lake.snapshot(), wanted)
-    if row.origin == "shipped":
+    if name:
         raise InputError("models", name, "ships inside the package and is in no lake", "name another model where stages use one")
     if row.is_withdrawn:
         return row

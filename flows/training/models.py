@@ -28,6 +28,11 @@ def shipped_models(kind: str | None = None) -> Iterator[tuple[str, ModelFolder]]
             yield from system.shipped().items()
 
 
+def bundled_folder(model_id: str) -> ModelFolder | None:
+    """The folder of the bundled model with an id."""
+    return next((folder for _, folder in shipped_models() if folder.document["model_id"] == model_id), None)
+
+
 def row_of_document(document: Mapping[str, Any], training_id: str, origin: str, blob: str, size: int) -> LearnedModel:
     """A row of `models` made of what a model's `model.json` says; of a model that was not trained in this lake."""
     return LearnedModel(
@@ -52,12 +57,15 @@ def shipped_rows() -> dict[str, LearnedModel]:
 
 
 def listed_models(reader: Reader | None) -> list[tuple[LearnedModel, str]]:
-    """All models, with the names of those that ship: of a lake the newest first, then the shipped ones that it does not have."""
-    shipped = shipped_rows()
-    names = {row.model_id: name for name, row in shipped.items()}
-    rows = [(row, names.get(row.model_id, "")) for row in (_newest_first(reader) if reader is not None else ())]
-    known = {row.model_id for row, _ in rows}
-    return rows + [(row, name) for name, row in shipped.items() if row.model_id not in known]
+    """All models, with the names of bundled ones: those of a lake with the newest first, then the bundled ones.
+
+    A lake cannot replace a bundled model: its rows with the id of a bundled model are left out, and so are rows that claim to be bundled.
+    """
+    bundled = shipped_rows()
+    bundled_ids = {row.model_id for row in bundled.values()}
+    rows = _newest_first(reader) if reader is not None else []
+    of_lake = [(row, "") for row in rows if row.origin != "shipped" and row.model_id not in bundled_ids]
+    return of_lake + [(row, name) for name, row in bundled.items()]
 
 
 def _newest_first(reader: Reader) -> list[LearnedModel]:
@@ -73,13 +81,15 @@ def _newest_first(reader: Reader) -> list[LearnedModel]:
 
 
 def found_model(reader: Reader | None, wanted: str, kind: str | None = None) -> tuple[LearnedModel, str]:
-    """The model that a text means: an id, the beginning of one that no other has, or the name of a shipped one; with that name.
+    """The model of a text: a bundled name, an id, or a prefix of only one id; with its name if it is bundled.
 
     Raises:
         InputError: none or several are meant, or it is of another learned system.
     """
-    every = listed_models(reader)
-    meant = [(row, name) for row, name in every if wanted and (wanted == name or row.model_id.startswith(wanted))]
+    every = listed_models(reader) if wanted else []
+    # A bundled name comes first: ids are hashes, and one that begins like a name can be searched for.
+    meant = [(row, name) for row, name in every if name == wanted]
+    meant = meant or [(row, name) for row, name in every if row.model_id.startswith(wanted)]
     if len(meant) != 1:
         problem = f"{len(meant)} models begin with {wanted!r}" if meant else f"there is no model {wanted!r}"
         raise InputError("models", "model_id", problem, "give more digits" if meant else LIST)
@@ -111,8 +121,9 @@ def loaded_model(lake: Lake, row: LearnedModel) -> Model:
     Raises:
         InputError: the weights are gone, or are not those of the model.
     """
-    if row.origin == "shipped":
-        return next(folder.model for _, folder in shipped_models(row.kind) if folder.model.model_id == row.model_id)
+    bundled = bundled_folder(row.model_id)
+    if bundled is not None:
+        return bundled.model
     try:
         weights = lake.blobs[row.weights_blob]
     except KeyError:

@@ -5,7 +5,6 @@ The timeline `pose` has three moments: 0 is the proposed pose of every object, 1
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from flows.view.scene import Document, Scenes
 from schemas.errors import InputError
 from schemas.files import write_whole
+from schemas.json_values import json_value
 from tasks.geometry.meshes import surface_of_glb
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, matrix, quaternion_wxyz
 
@@ -67,7 +67,7 @@ def write_recording(scenes: Scenes, scene_id: str, out: Path) -> int:
     for row in document["objects"]:
         _log_object(stream, row, scenes)
     for row in document["navmeshes"]:
-        _log_navmesh(stream, row["agent"], json.loads(scenes.blob(row["blob"])))
+        _log_navmesh(stream, row["agent"], json_value(scenes.blob(row["blob"])))
     _log_supports(stream, document["objects"])
     stream.flush()
     data = collected.read()

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from schemas.capture import RoomSurface, Shell
 from schemas.errors import InputError
 from schemas.exports import ExportFile
+from schemas.json_values import json_value
 
 
 def shell_glb(shells: Sequence[Shell], surfaces: Sequence[RoomSurface], blobs: Mapping[str, bytes]) -> bytes | None:
@@ -61,7 +61,7 @@ def colliders_of(files: Sequence[ExportFile], blobs: Mapping[str, bytes]) -> dic
 def _document(name: str, blobs: Mapping[str, bytes]) -> dict[str, Any]:
     """The JSON object in a blob; an empty one where there is none."""
     try:
-        value = json.loads(blobs[name]) if name in blobs else {}
+        value = json_value(blobs[name]) if name in blobs else {}
     except ValueError:
         return {}
     return value if isinstance(value, dict) else {}

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from schemas.errors import InputError, check_address
+from schemas.json_values import json_value
 from tasks.calls.exchange import Exchange, NoAnswer, check_hidden, key_in
 from tasks.settings import Config, Count, NonNegative, Positive
 
@@ -124,7 +125,7 @@ class Endpoint:
 def _read_answer(data: bytes) -> CallAnswer:
     """The message in an answer, and how many tokens it counts."""
     try:
-        table: Any = json.loads(data)
+        table: Any = json_value(data)
         text = table["choices"][0]["message"]["content"]
     except (ValueError, LookupError, TypeError, RecursionError):
         table, text = {}, None

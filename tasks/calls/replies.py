@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ast
-import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from schemas.json_values import json_value
 from schemas.text import one_line
 
 MOST_CHARACTERS = 100_000
@@ -34,7 +34,7 @@ def table_of(reply: str, example: str, *, is_alone: bool = False, listed: str = 
     """
     text = re.sub(r"\s{2,}", " ", reply[:MOST_CHARACTERS]) if is_alone else reply[:MOST_CHARACTERS]
     starts = [match.start() for match in re.finditer(r"[{\[]" if listed else r"\{", text)][: 1 if is_alone else 20]
-    attempts: Sequence[Callable[[str], Any]] = (json.loads, _mended, _as_python)
+    attempts: Sequence[Callable[[str], Any]] = (json_value, _mended, _as_python)
     for attempt in attempts:
         for start in starts:
             part = _balanced(text, start)
@@ -130,7 +130,7 @@ def _balanced(text: str, start: int) -> str:
 def _mended(text: str) -> Any:
     """JSON with curly quotes, trailing commas and comments put right."""
     text = re.sub(r"//[^\n\"]*$", "", text.translate(_QUOTES), flags=re.MULTILINE)
-    return json.loads(re.sub(r",\s*([}\]])", r"\1", text))
+    return json_value(re.sub(r",\s*([}\]])", r"\1", text))
 
 
 def _as_python(text: str) -> Any:

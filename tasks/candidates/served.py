@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks.calls.exchange import EndpointAway, Exchange, NoAnswer, key_in
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.generation.generated import GeneratorInput, GeneratorSettings, generated
@@ -128,7 +129,7 @@ def _status(data: bytes) -> bytes | str:
 
 def _table(data: bytes) -> dict[str, Any]:
     try:
-        table = json.loads(data)
+        table = json_value(data)
     except (ValueError, RecursionError):
         table = None
     if not isinstance(table, dict):

@@ -14,13 +14,13 @@ from pathlib import Path
 
 from schemas.errors import InputError
 from schemas.files import open_file
+from schemas.json_values import json_value
 from tasks.capture.files.documents import MAX_JSON_BYTES, MAX_TEXT_BYTES, name_of
 from tasks.capture.files.sens import MAX_SENS_BYTES, open_sens
 from tasks.capture.formats import format_of, left_out
 from tasks.capture.layout import FrameLayout
 from tasks.capture.scan import Scan
 from tasks.families import part
-from tasks.unpacking import json_value
 
 _TEMPORARY = re.compile(
     r"\..+\.[A-Za-z0-9]{6}"  # rsync's `.name.XXXXXX`

@@ -12,9 +12,9 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.evaluation import ACTIONS
+from schemas.json_values import weigh_json
 from tasks.batches import BatchSchema, parse_json, read_limited
 from tasks.geometry.transforms import pose_from_quaternion_wxyz, to_z_up, yaw_of
-from tasks.unpacking import weigh_json
 
 SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
 """The published JSON Schema of a batch file."""

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks.capture.files.documents import MAX_TEXT_BYTES, name_of, read_bytes
-from tasks.unpacking import json_value
 
 LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")
 """Files whose first line is a dataset's licence."""

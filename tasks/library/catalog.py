@@ -11,11 +11,12 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file, stays_in
+from schemas.json_values import json_value
 from schemas.text import one_line
 from tasks.library.formats import FORMATS
 from tasks.library.licenses import UNKNOWN, License, license_of
 from tasks.library.metadata import GZIP, Facts, ModelFacts, abo_facts, objaverse_facts, plain_facts
-from tasks.unpacking import gunzip, json_value
+from tasks.unpacking import gunzip
 
 INDEX = "index.json"
 LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset, TextureCharts
+from schemas.json_values import json_value
 from tasks.library.descriptors import Descriptor
 from tasks.library.fields import SurfaceField
-from tasks.unpacking import json_value
 
 Vectors = NDArray[np.float32]
 

@@ -15,10 +15,11 @@ from typing import Any
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
+from schemas.json_values import json_value, weigh_json
 from tasks.captions.physics import known_name
 from tasks.library.format import Axis
 from tasks.library.licenses import UNKNOWN, License, license_of
-from tasks.unpacking import gunzip, json_value, weigh_json
+from tasks.unpacking import gunzip
 
 LENGTHS = {
     "inches": 0.0254, "inch": 0.0254, "feet": 0.3048, "centimeters": 0.01, "centimetres": 0.01, "cm": 0.01, "millimeters": 0.001,

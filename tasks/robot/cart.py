@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from schemas.json_values import json_value
 from tasks.geometry.transforms import pose_from_quaternion_wxyz, quaternion_wxyz
 from tasks.robot.bodies import Motors, Readings, Slip
 from tasks.robot.configuration import Cart, DriveNoise
@@ -90,7 +90,7 @@ def cart_model(scene: str, cart: Cart, motions: Mapping[str, PlanarMotion] | Non
     _strip(root)
     world = root.find("worldbody")
     assert world is not None
-    abouts = {text.attrib["name"]: json.loads(text.attrib["data"]) for text in root.iterfind("custom/text")}
+    abouts = {text.attrib["name"]: json_value(text.attrib["data"]) for text in root.iterfind("custom/text")}
     meshes = {mesh.attrib["name"]: _numbers(mesh.attrib["vertex"]).reshape(-1, 3) for mesh in root.iterfind("asset/mesh")}
     flat = []
     for body in list(world.iterfind("body")):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.json_values import json_value
 from tasks.furniture.dwellings import Dwelling
 from tasks.geometry.transforms import flat
 from tasks.scanner.defects import Annotated, Blindness
@@ -105,7 +106,7 @@ class DwellingTruth:
     @staticmethod
     def from_json(text: str) -> DwellingTruth:
         """What `to_json` wrote."""
-        raw = json.loads(text)
+        raw = json_value(text)
         return DwellingTruth(
             scan=raw["scan"],
             alignment=tuple(raw["alignment"]),

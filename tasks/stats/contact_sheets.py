@@ -8,6 +8,7 @@ import html
 import io
 from collections.abc import Sequence
 
+from schemas.text import page_text
 from tasks.stats.axes import short
 from tasks.stats.style import INK, MUTED, PAPER, SERIES, Picture, Tone, themed
 from tasks.stats.thumbnails import OBJECT_PX, SCENE_PX, CandidateStrip, SceneTile
@@ -123,7 +124,7 @@ def _drawn(name: str, title: str, alt: str, view: str, size: tuple[float, float]
     body = "".join(_as_svg(mark) for mark in marks)
     svg = (
         f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" width="{width}" height="{height}" '
-        f'viewBox="0 0 {width} {height}" font-family="DejaVu Sans, sans-serif"><title>{html.escape(title)}</title>{body}</svg>'
+        f'viewBox="0 0 {width} {height}" font-family="DejaVu Sans, sans-serif"><title>{html.escape(page_text(title))}</title>{body}</svg>'
     )
     return Picture(name, title, alt, themed(svg), _as_png(width, height, marks), view=view)
 
@@ -140,7 +141,7 @@ def _as_svg(mark: _Mark) -> str:
         case _Text():
             weight = ' font-weight="bold"' if mark.bold else ""
             face = f'font-size="{mark.size}" fill="{mark.tone.light}"{weight}'
-            return f'<text x="{mark.x:g}" y="{mark.y:g}" {face}>{html.escape(mark.text)}</text>'
+            return f'<text x="{mark.x:g}" y="{mark.y:g}" {face}>{html.escape(page_text(mark.text))}</text>'
 
 
 def _as_png(width: int, height: int, marks: Sequence[_Mark]) -> bytes:

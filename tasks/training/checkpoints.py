@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 from collections.abc import Mapping, MutableMapping
 from typing import Any
+
+from schemas.json_values import json_value
 
 KEPT = 2
 """The newest ones: should the last not be whole, the one before it is."""
@@ -39,7 +40,7 @@ def newest(checkpoints: Mapping[str, bytes], key: str, mark: str) -> tuple[dict[
     for name in names_of(checkpoints, key):
         try:
             read = torch.load(io.BytesIO(checkpoints[name]), map_location="cpu", weights_only=True)
-            facts = json.loads(read.pop("facts"))
+            facts = json_value(read.pop("facts"))
         except Exception:  # torch says in many ways that a file is not whole, and another is as good
             continue
         if facts.get("mark") == mark:

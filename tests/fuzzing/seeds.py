@@ -484,6 +484,22 @@ def navmesh() -> list[Case]:
     return ours + real("habitat_sim_test_assets/**/*.navmesh", "scene.navmesh", 3)
 
 
+def records() -> list[Case]:
+    """Records that the project writes itself, as JSON: of storeys, of hashed files, of a holder, of a release."""
+    from bench.samples import sample
+    from schemas.runs import Release
+    from tasks.capture.layout import STOREYS_RECORD
+    from warehouse.tables.released import record_fields
+
+    made = {
+        STOREYS_RECORD: {"scene_id": "a/b", "storeys": [{"scan": "b_0", "floor_m": 0.0}, {"scan": "b_1", "floor_m": 2.7}]},
+        "file_hashes.json": {"/a/b": [1, 2, 3, 4, "5" * 64]},
+        "held.json": {"token": "a", "host": "b", "expires": 1.0, "life": 2.0},
+        "release.json": record_fields(sample(Release)),
+    }
+    return [{name: json.dumps(value).encode()} for name, value in made.items()]
+
+
 def settings() -> list[Case]:
     """A file of settings, and settings as the command line has them."""
     text = """seed = 3

@@ -92,6 +92,7 @@ def _readers() -> list[Target]:
         Target("navmesh", PARSER, seeds.navmesh, _read_navmesh),
         Target("mesh", PARSER, seeds.meshes, _read_mesh),
         Target("settings", PARSER, seeds.settings, _read_settings),
+        Target("records", PARSER, seeds.records, _read_records),
         Target("parameters", PARSER, seeds.parameters, _read_parameters),
     ]
     known = {target.name for target in found}
@@ -366,6 +367,24 @@ def _read_mesh(folder: Path) -> None:
     for scan in find_scans(folder, "bare_mesh")[0]:
         scan_files(scan)
         read_mesh(scan)
+
+
+def _read_records(folder: Path) -> None:
+    """JSON that the project wrote itself, to scans, caches and lakes, and that may be damaged."""
+    from flows.run.fingerprints import FileHashes
+    from flows.scans.storeys import STOREYS_RECORD, _record
+    from warehouse.sharing.held import parsed
+    from warehouse.tables.released import parse_release
+
+    for file in sorted(folder.glob("*.json")):
+        if file.name == STOREYS_RECORD:
+            _record(folder)
+        elif file.name == "file_hashes.json":
+            FileHashes(file)
+        elif file.name == "held.json":
+            parsed(file.read_bytes())
+        elif file.name == "release.json":
+            parse_release(file.name, file.read_bytes())
 
 
 def _read_settings(folder: Path) -> None:

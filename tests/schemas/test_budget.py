@@ -13,11 +13,12 @@ import pytest
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks import containers
 from tasks.exports.glb.rules import check_glb
 from tasks.exports.urdf.rules import _poses
 from tasks.geometry.meshes import load_glb, surface_of
-from tasks.unpacking import image_pixels, json_value
+from tasks.unpacking import image_pixels
 from tests import attacks
 
 LOADED = """

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
 from schemas.calls import ModelCall
+from schemas.json_values import json_value
 from schemas.text import cut
 from warehouse.lineage.walk import Walk, picked
 
@@ -29,7 +29,7 @@ def follow_call(walk: Walk, source: str, call_id: str | None, role: str, depth: 
     )  # fmt: skip
     request = walk.blobs.get(row.request_blob)
     if request is not None:
-        facts["asked"] = cut("\n".join(_texts(json.loads(request))), MOST_LETTERS)
+        facts["asked"] = cut("\n".join(_texts(json_value(request))), MOST_LETTERS)
     if row.reply_blob is not None and row.reply_blob in walk.blobs:
         facts["answered"] = cut(walk.blobs[row.reply_blob].decode(errors="replace"), MOST_LETTERS)
     node = walk.node("model_call", call_id, facts)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-
+from schemas.json_values import json_value
 from schemas.record import arrow_to_rows
 from schemas.training import LearnedModel, ModelEvaluation
 from warehouse.lineage.walk import Walk, picked
@@ -37,7 +36,7 @@ def model_node(walk: Walk, model: LearnedModel) -> str:
     facts = {
         **picked(model, "kind", "origin", "architecture", "parameter_count", "seed", "device", "license", "is_fallback", "is_withdrawn",
                  "notes", "weights_blob"),
-        "config": json.loads(model.config),
+        "config": json_value(model.config),
         "figures": [f"{row.metric} {row.value:.4g} on {row.dataset}, {row.split}" for row in figures],
     }  # fmt: skip
     node = walk.node("model", model.model_id, facts, walk.run(model.training_id, "training"))

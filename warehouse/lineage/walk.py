@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from datetime import datetime
 from functools import cached_property
 from typing import Any, TypeVar
 
+from schemas.json_values import json_value
 from schemas.lineage import Edge, Lineage, Node, Place, Problem, RunFacts
 from schemas.record import table_of
 from schemas.runs import StageRun
@@ -235,6 +235,6 @@ def _pairs(entries: Iterable[str]) -> dict[str, str]:
 def _config(text: str) -> Any:
     """A config as JSON values; text that is no JSON stays text."""
     try:
-        return json.loads(text)
+        return json_value(text)
     except ValueError:
         return text

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from schemas.lineage.licenses import BESIDE, UNKNOWN, is_partly_unknown, is_unknown, of_asset, scan_of, stated
+from schemas.text import markdown_cell, page_text
 from warehouse.release.licenses import duties
 
 if TYPE_CHECKING:
@@ -51,15 +52,9 @@ class Attribution:
             lines += [f"| license | what it asks | author | source | {noun} | scenes |", "|---|---|---|---|---|---|"]
             for credit in credits:
                 cells = (credit.license, duties(credit.license), credit.author, credit.what, credit.items, credit.scenes)
-                lines.append("| " + " | ".join(cell(value) for value in cells) + " |")
+                lines.append("| " + " | ".join(markdown_cell(value) for value in cells) + " |")
             lines.append("")
-        return "\n".join(lines)
-
-
-def cell(value: object) -> str:
-    """A value in a cell of a Markdown table."""
-    text = f"{value:,}" if isinstance(value, int) else str(value)
-    return " ".join(text.split()).replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;")
+        return page_text("\n".join(lines))
 
 
 def attribution_of(connection: duckdb.DuckDBPyConnection) -> Attribution:

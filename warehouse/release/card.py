@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 from schemas.lineage.licenses import is_partly_unknown, is_unknown
 from schemas.runs import Release
 from schemas.tables import TABLES
+from schemas.text import markdown_cell, page_text
 from schemas.wording import noun
-from warehouse.release.attribution import Attribution, cell
+from warehouse.release.attribution import Attribution
 from warehouse.release.catalog import variable_of
 from warehouse.release.hub import card_head
 
@@ -86,7 +87,8 @@ def data_card(release: Release, connection: duckdb.DuckDBPyConnection, attributi
     """`README.md` of a release. `connection` reads its tables and views; `files` are those that are written already."""
     ask = _Answers(connection)
     parts = [_head(release), _contents(release), _sources(ask), _licenses(attribution), _figures(ask), _limits(release, ask, attribution)]
-    return card_head(release, attribution, files) + "\n".join([*parts, _files(release, files), _citation(release, files)])
+    text = "\n".join([*parts, _files(release, files), _citation(release, files)])
+    return page_text(card_head(release, attribution, files) + text)
 
 
 class _Answers:
@@ -101,7 +103,7 @@ class _Answers:
         if not rows:
             return f"{nothing}\n"
         lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
-        lines += [f"| {' | '.join(cell(_shown(value)) for value in row)} |" for row in rows[:most]]
+        lines += [f"| {' | '.join(markdown_cell(_shown(value)) for value in row)} |" for row in rows[:most]]
         if len(rows) > most:
             lines += ["", f"The first {most} of {len(rows):,}."]
         return "\n".join(lines) + "\n"
@@ -145,7 +147,7 @@ def _licenses(attribution: Attribution) -> str:
     for material, credits in (("scans", attribution.scans), ("assets", attribution.assets)):
         for name in sorted({credit.license for credit in credits}):
             own = [credit for credit in credits if credit.license == name]
-            lines.append(f"| {material} | {cell(name)} | {sum(c.items for c in own):,} |")
+            lines.append(f"| {material} | {markdown_cell(name)} | {sum(c.items for c in own):,} |")
     lines += ["", "`ATTRIBUTION.md` says whom to name and what each license asks. Assets that were cut from a scan have its license.",
               "`metascenes export --release NAME --license-allow ...` leaves out what may not be shipped."]  # fmt: skip
     return "\n".join(lines) + "\n"
@@ -208,7 +210,9 @@ def _files(release: Release, files: Sequence[ReleaseFile]) -> str:
              "`croissant.json` all of this as Croissant says it.", "",
              "| file | rows | bytes | SHA-256 |", "|---|---|---|---|"]  # fmt: skip
     lines += [
-        f"| {cell(file.path)} | {file.rows:,} | {file.bytes:,} | `{file.sha256[:16]}...` |" for file in files if file.rows is not None
+        f"| {markdown_cell(file.path)} | {file.rows:,} | {file.bytes:,} | `{file.sha256[:16]}...` |"
+        for file in files
+        if file.rows is not None
     ]
     lines += ["", f"`{release.name}.duckdb` has a view of each table, and every view and macro of the lake with its comment:", "",
               "```sql", f"ATTACH '{release.name}.duckdb' AS r (READ_ONLY);", "SELECT * FROM r.headline;", "```", "",

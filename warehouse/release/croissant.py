@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from schemas.tables import TABLES
+from schemas.text import escaped
 from schemas.wording import noun
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def croissant(release: Release, attribution: Attribution, files: Sequence[Releas
     }
     if release.erased_at:
         fields["dateModified"] = max(release.erased_at)[:10]
-    return json.dumps(fields, indent=1, ensure_ascii=False) + "\n"
+    return escaped(json.dumps(fields, indent=1, ensure_ascii=False)) + "\n"
 
 
 def _file(file: ReleaseFile) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+from schemas.json_values import json_value
 from warehouse.sharing.writer import new_token, this_writer, writer_of
 from warehouse.storage.files import Storage
 
@@ -218,7 +219,7 @@ class Keeper:
 def parsed(content: bytes) -> Holder | None:
     """The holder; None when the file says nothing readable, which nobody's does that was written whole."""
     with contextlib.suppress(ValueError, KeyError, TypeError):
-        return holder_from(json.loads(content))
+        return holder_from(json_value(content))
     return None
 
 
@@ -241,7 +242,7 @@ def held_in(
         if read is None:  # given back meanwhile
             continue
         with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError):
-            fields = json.loads(read[0])
+            fields = json_value(read[0])
             holder = holder_from(fields)
             made = record(holder, fields)
             if path == path_of(made):

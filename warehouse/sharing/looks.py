@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from schemas.json_values import json_value
 from warehouse.storage.files import Storage
 
 FOLDER = "looks"
@@ -26,7 +27,7 @@ class Looks:
     def read(self) -> dict[str, Any]:
         """The memory that the last look wrote; empty when there is none or it cannot be read: then every scan is new."""
         try:
-            record = json.loads(self._storage.read(self._path))
+            record = json_value(self._storage.read(self._path))
         except (FileNotFoundError, ValueError):
             return {}
         return record if isinstance(record, dict) else {}

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from schemas.errors import InputError, LakeError
+from schemas.json_values import json_value
 from warehouse.storage.files import Entry
 from warehouse.storage.refusals import StoreAway
 from warehouse.storage.workplace import workplace
@@ -158,7 +159,7 @@ class ObjectStorage:
         removes it, while nobody else may touch it.
         """
         if data is not None:
-            return self._put_if(path, data, json.loads(tag))
+            return self._put_if(path, data, json_value(tag))
         head = self._head(path)
         if head is None or _tag(head) != tag:
             return False

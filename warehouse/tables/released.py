@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from datetime import datetime
 from typing import Any
 
 from schemas.errors import InputError, RecordError
+from schemas.json_values import json_value
 from schemas.record import check
 from schemas.runs import Release
 from warehouse.storage.files import Storage
@@ -53,7 +53,7 @@ def parse_release(file: str, data: bytes) -> Release:
         InputError: it cannot be read.
     """
     try:
-        fields = {"erased_at": [], **json.loads(data)}
+        fields = {"erased_at": [], **json_value(data)}
         release = Release(
             **{field.name: fields[field.name] for field in dataclasses.fields(Release)}
             | {"created_at": datetime.fromisoformat(fields["created_at"])}

@@ -19,6 +19,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from schemas.tables import TABLES
 from warehouse.lake import MARKER, Lake
 from warehouse.sharing.writer import writer_of
@@ -332,7 +333,7 @@ def _summary(storage: Storage) -> dict[str, object] | None:
         InputError: it cannot be read.
     """
     try:
-        record = json.loads(storage.read(SUMMARY))
+        record = json_value(storage.read(SUMMARY))
     except FileNotFoundError:
         return None
     except ValueError as error:

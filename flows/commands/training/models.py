@@ -66,13 +66,14 @@ def show(model: str, address: str, as_json: bool) -> None:
     Example: metascenes models show 3f9a1c --lake ./lake
     """
     from flows.training.folders import card_of, document_of
-    from flows.training.models import evaluations_of_model, found_model, shipped_models
+    from flows.training.models import bundled_folder, evaluations_of_model, found_model
 
     lake = _lake_if_there(address)
     reader = lake.snapshot() if lake is not None else None
-    row, name = found_model(reader, model)
-    if row.origin == "shipped":
-        document: Any = dict(shipped_models(row.kind))[name].document
+    row, _ = found_model(reader, model)
+    bundled = bundled_folder(row.model_id)
+    if bundled is not None:
+        document: Any = bundled.document
     else:
         assert reader is not None
         document = document_of(row, evaluations_of_model(reader, row))
@@ -114,7 +115,7 @@ def import_(source: Path, dry_run: bool, address: str, as_json: bool) -> None:
     """Take a model in that `metascenes models export` wrote.
 
     Its weights are arrays and nothing else: files that could run code are refused. It is the newest of its kind then. A model that was
-    withdrawn counts again.
+    withdrawn counts again. A model that is bundled or in the lake already must state the same facts.
 
     Example: metascenes models import ./selection_model --lake ./lake
     """
@@ -125,7 +126,8 @@ def import_(source: Path, dry_run: bool, address: str, as_json: bool) -> None:
     if as_json:
         print(json.dumps({"is_new": is_new, **dataclasses.asdict(row)}))
     else:
-        state = "is in the lake already" if not is_new else "would be imported" if dry_run else "imported"
+        known = "is bundled" if row.origin == "shipped" else "is in the lake already"
+        state = known if not is_new else "would be imported" if dry_run else "imported"
         print(f"model {row.model_id} of {row.kind}, {row.architecture}: {state}")
 
 

@@ -12,6 +12,7 @@ import click
 
 from flows.commands.options import existing_lake, json_option, lake_option, seed_option, settings_options, snapshot_options
 from schemas.families.learned_systems import LEARNED_SYSTEMS
+from schemas.json_values import json_value
 
 if TYPE_CHECKING:
     from flows.training.training import PlannedTraining
@@ -74,7 +75,7 @@ def _tell_plan(planned: PlannedTraining, as_json: bool) -> None:
     """What would be trained."""
     facts = {"training_id": planned.training_id, "dataset": planned.dataset.name, "state": planned.why}
     if as_json:
-        print(json.dumps(facts | {"config": json.loads(planned.job.config_json)}))
+        print(json.dumps(facts | {"config": json_value(planned.job.config_json)}))
     else:
         todo = "nothing to do" if planned.held is not None else "would be trained"
         print(f"{planned.training_id} on {planned.dataset.name}: {planned.why}, {todo}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 from collections.abc import Sequence
 from typing import Protocol
@@ -13,6 +12,7 @@ from pydantic import ValidationError
 from flows.run.fingerprints import code_fingerprint
 from flows.training.models import LIST, found_model, listed_models, loaded_model
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks.settings import Config, adapter, nearest
 from tasks.synthesis.inference.drawer import load
 from tasks.synthesis.layout import Large, Layout
@@ -86,7 +86,7 @@ def model_config(text: str, name: str) -> Diffusion | Atiss:
         InputError: they are those of no synthesis model.
     """
     try:
-        made: _Settings = adapter(_Settings).validate_python({"model": json.loads(text)["model"]})
+        made: _Settings = adapter(_Settings).validate_python({"model": json_value(text)["model"]})
     except (ValidationError, ValueError, KeyError, TypeError) as error:
         raise InputError(name, "config", "is that of no synthesis model", f"{LIST} with what made them") from error
     config: Diffusion | Atiss = made.model
@@ -102,6 +102,6 @@ class _Settings(Config):
 
 def _kind(config: str) -> str:
     try:
-        return str(json.loads(config)["model"]["kind"])
+        return str(json_value(config)["model"]["kind"])
     except (ValueError, KeyError, TypeError):
         return ""

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from schemas.errors import InputError, LakeError
+from schemas.json_values import json_value
 from warehouse.lake import DRAFT_FOLDER
 
 if TYPE_CHECKING:
@@ -244,4 +245,4 @@ def erase_drafts(lake: Lake, traces: Traces, dry_run: bool = False) -> int:
 
 
 def _draft(row: tuple[str | None, int, str, str]) -> KeptDraft:
-    return KeptDraft(None if row[0] is None else json.loads(row[0]), row[1], row[2], row[3])
+    return KeptDraft(None if row[0] is None else json_value(row[0]), row[1], row[2], row[3])

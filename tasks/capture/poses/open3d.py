@@ -17,6 +17,7 @@ from pydantic import Field
 
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.json_values import json_value
 from tasks.calls.command import run_apart
 from tasks.capture.reading import FrameSource
 from tasks.capture.small_objects.lifting import depth_view
@@ -103,7 +104,7 @@ class Open3DPoses(Config):
                 )
             size = 128 * len(frames)
             content = read_file(folder / "poses.f8", "poses.f8 of Open3D", size, remedy)
-            summary = json.loads(read_file(folder / "said.json", "said.json of Open3D", 10_000, remedy))
+            summary = json_value(read_file(folder / "said.json", "said.json of Open3D", 10_000, remedy))
         if len(content) != size:
             raise InputError(python, FIELD, f"left {len(content)} bytes for {len(frames)} poses", remedy)
         poses = np.frombuffer(content, dtype="<f8").reshape(-1, 4, 4).copy()

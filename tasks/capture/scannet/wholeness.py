@@ -8,11 +8,11 @@ from pathlib import Path
 
 from schemas.budget import BUDGET
 from schemas.files import open_file
+from schemas.json_values import json_value
 from tasks.capture.files.documents import MAX_JSON_BYTES, name_of
 from tasks.capture.scan import Scan
 from tasks.capture.scannet.layout import scannet_layout
 from tasks.capture.wholeness import HEADER_BYTES, Gap, content, file_gaps, frame_gaps
-from tasks.unpacking import json_value
 
 
 def gaps(scan: Scan) -> Iterator[Gap]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks.capture.aggregation import vertex_groups
 from tasks.capture.files.documents import integers, license_of, name_of, plain_text, read_bytes, read_json, read_text, settings
 from tasks.capture.files.frames import exported_frames
@@ -26,7 +27,6 @@ from tasks.capture.premises import Premises
 from tasks.capture.reading import FrameSource, Group, Reading, groups_of
 from tasks.capture.scan import Scan, ScanFormat, license_path
 from tasks.geometry.meshes import Surface
-from tasks.unpacking import json_value
 
 LABELLED = ("labels.instances.annotated.v2.ply", "labels.instances.annotated.ply")
 MESH = ("mesh.refined.v2.obj", "mesh.refined.obj")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Iterator, Mapping
 from typing import Any
+
+from schemas.json_values import json_value
 
 
 def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -13,6 +14,6 @@ def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
     if data[:4] != b"glTF":
         raise ValueError("no GLB")
     (length,) = struct.unpack_from("<I", data, 12)
-    for node in json.loads(data[20 : 20 + length])["nodes"]:
+    for node in json_value(data[20 : 20 + length])["nodes"]:
         if "instance_id" in (node.get("extras") or {}):
             yield node["name"], node["extras"]

@@ -6,12 +6,12 @@ import csv
 import dataclasses
 import gzip
 import io
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import Any
 
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks.capture.labels import NYU40
 from tasks.exports.config import HabitatConfig
 from tasks.exports.habitat.json_files import dump_json, dump_json_gz
@@ -45,7 +45,7 @@ class HabitatScene:
 def describe(roles: Mapping[str, str], read: Callable[[str], bytes]) -> HabitatScene:
     """What the dataset needs to know of a scene, from the roles of its files by path; `read` gives the contents of a path."""
     scene_path = next(path for path, role in roles.items() if role == "scene")
-    scene = json.loads(read(scene_path))
+    scene = json_value(read(scene_path))
     classes = {item["user_defined"]["category"]: item["user_defined"]["nyu40_id"] for item in scene["object_instances"]}
     goals: set[str] = set()
     splits: set[str] = set()
@@ -54,7 +54,7 @@ def describe(roles: Mapping[str, str], read: Callable[[str], bytes]) -> HabitatS
         parts = PurePosixPath(path).parts
         if parts[0] == "objectnav":
             splits.add(parts[1])
-            goals |= {episode["object_category"] for episode in json.loads(gzip.decompress(read(path)))["episodes"]}
+            goals |= {episode["object_category"] for episode in json_value(gzip.decompress(read(path)))["episodes"]}
         elif parts[0] == "navmeshes":
             navmesh = read_polygons(read(path)).settings or {}
     return HabitatScene(

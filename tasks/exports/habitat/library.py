@@ -12,9 +12,10 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.json_values import json_value
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
-from tasks.unpacking import gunzip, json_value
+from tasks.unpacking import gunzip
 
 ENDINGS = {
     "stages": ".stage_config.json", "objects": ".object_config.json", "light_setups": ".lighting_config.json",

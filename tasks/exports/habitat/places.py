@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any
+
+from schemas.json_values import json_value
 
 
 def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Objects of a Habitat scene."""
-    for obj in json.loads(data)["object_instances"]:
+    for obj in json_value(data)["object_instances"]:
         if "instance_id" in obj.get("user_defined", {}):
             yield obj["template_name"], obj["user_defined"]

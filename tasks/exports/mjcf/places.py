@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any
-from xml.etree import ElementTree
+
+from schemas.json_values import json_value
+from tasks.unpacking import plain_xml_root
 
 
 def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Texts of an MJCF model that are named as the body which they describe."""
-    for text in ElementTree.fromstring(data.decode()).iter("text"):
-        facts = json.loads(text.attrib["data"]) if text.attrib["data"].startswith("{") else {}
+    for text in plain_xml_root(data).iter("text"):
+        facts = json_value(text.attrib["data"]) if text.attrib["data"].startswith("{") else {}
         if "instance_id" in facts:
             yield text.attrib["name"], facts

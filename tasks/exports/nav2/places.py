@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any
+
+from schemas.json_values import json_value
 
 OBJECTS = "objects.json"
 """Name of the file beside a map that says what stands on it."""
@@ -12,5 +13,5 @@ OBJECTS = "objects.json"
 
 def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Objects of a map."""
-    for instance in json.loads(data)["objects"]:
+    for instance in json_value(data)["objects"]:
         yield instance["name"], instance

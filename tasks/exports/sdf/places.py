@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any
-from xml.etree import ElementTree
+
+from schemas.json_values import json_value
+from tasks.unpacking import plain_xml_root
 
 NAMESPACE = "urn:metascenes"
 """Of elements that SDF does not know, and that its readers pass by."""
@@ -16,7 +17,7 @@ ABOUT = "about"
 
 def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Models of a world that say which instance they are."""
-    for model in ElementTree.fromstring(data.decode()).iter("model"):
-        facts = json.loads(model.findtext(f"{{{NAMESPACE}}}{ABOUT}") or "{}")
+    for model in plain_xml_root(data).iter("model"):
+        facts = json_value(model.findtext(f"{{{NAMESPACE}}}{ABOUT}") or "{}")
         if "instance_id" in facts:
             yield model.attrib["name"], facts

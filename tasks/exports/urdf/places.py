@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any
+
+from schemas.json_values import json_value
 
 POSES = "poses.json"
 """Name of the file beside the URDF files that says where they stand."""
@@ -12,5 +13,5 @@ POSES = "poses.json"
 
 def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Objects of a list of URDF models with poses."""
-    for instance in json.loads(data)["objects"]:
+    for instance in json_value(data)["objects"]:
         yield instance["name"], instance

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import AnyPath, read_file
+from schemas.json_values import json_value
 from tasks.exports.findings import Finding
 from tasks.exports.inertias import impossible, too_large
 from tasks.exports.mesh_files import HULL_TOLERANCE_M, hollow, named_mesh
 from tasks.exports.urdf.places import POSES
-from tasks.unpacking import json_value, xml_root
+from tasks.unpacking import xml_root
 
 RULES: dict[str, str] = {
     "xml": "the file is XML whose root is robot",

@@ -14,6 +14,7 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import check_file
+from tasks.composition import refuse_large_stage
 from tasks.exports.findings import Finding
 from tasks.exports.usd import body_rules, deformable_rules, stage_rules, visual_rules
 from tasks.exports.usd.package import check_package
@@ -84,9 +85,12 @@ def check_usd(path: Path) -> list[Finding]:
         return [Finding("stage_opens", path.name, _line(str(error), path))]
     findings = list(check_package(path))
     try:
+        refuse_large_stage(path)
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         return [*findings, Finding("stage_opens", path.name, _line(_words(error), path))]
+    except InputError as error:
+        return [*findings, Finding("budget", path.name, _line(str(error), path))]
     findings += _checked(stage, path, _CHECKS)
     known = {(finding.rule, finding.where, finding.message) for finding in findings}
     for variant, part in _variants(stage):

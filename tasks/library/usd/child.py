@@ -33,9 +33,11 @@ def main() -> None:
         if task == "list":
             answer(folder, {"files": [str(file) for file in files]})
             return
+        from tasks.composition import refuse_large_stage
         from tasks.geometry.meshes import dump_glb
         from tasks.library.usd.stage import Flattened
 
+        refuse_large_stage(path)
         flat = Flattened(path, root)
         (folder / MODEL).write_bytes(dump_glb(flat.parts()))
         answer(folder, {"unit_m": flat.unit_m, "up": flat.up, "notes": [*notes, *flat.notes]})

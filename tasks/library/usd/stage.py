@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,6 +53,10 @@ class Flattened:
         self._plain: list[tuple[Array, Integers, NDArray[np.uint8]]] = []
         self._textured: dict[tuple[Path, tuple[float, ...]], list[tuple[Array, Integers, Array]]] = {}
         self._faces = self._prims = 0
+        # Count first: geometry takes longer than a refusal.
+        prims = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
+        if next(itertools.islice(prims, BUDGET.nodes, None), None):
+            raise InputError(self._name, "prims", f"are more than {BUDGET.nodes}", "join the meshes, or split the file")
         self._add(stage.GetPseudoRoot(), np.eye(4)[None], np.eye(4))
 
     def parts(self) -> list[trimesh.Trimesh]:

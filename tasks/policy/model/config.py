@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks.settings import LISTED, WHOLE, Config, Positive, Share, adapter, union_of
 
 # Most of each: settings come with models of others, and what is allocated follows from their word.
@@ -177,7 +177,7 @@ def config_from(text: str) -> PolicyModel:
         InputError: there is none in it.
     """
     try:
-        made: PolicyModel = adapter(AnyPolicy).validate_python(json.loads(text)["model"])
+        made: PolicyModel = adapter(AnyPolicy).validate_python(json_value(text)["model"])
         return made
     except (ValueError, KeyError, TypeError) as error:
         raise InputError("model", "config", "is not that of a policy", "train it again, or import it with its own config") from error

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from schemas.evaluation import ACTIONS
+from schemas.json_values import json_value
 from tasks.policy.actions import UNTOLD
 from tasks.policy.model.config import OwnEyes, OwnGoal, PolicyModel
 
@@ -49,7 +50,7 @@ def vocabulary_in(arrays: Mapping[str, NDArray[Any]], file: str = "weights") -> 
     if VOCABULARY not in arrays:
         raise InputError(file, VOCABULARY, "is missing", remedy)
     try:
-        words = json.loads(np.asarray(arrays[VOCABULARY]).tobytes().decode())
+        words = json_value(np.asarray(arrays[VOCABULARY]).tobytes().decode())
     except (ValueError, RecursionError) as error:
         raise InputError(file, VOCABULARY, "is no vocabulary", remedy) from error
     are_words = isinstance(words, list) and all(isinstance(word, str) for word in words)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 from collections.abc import Iterable, Mapping, MutableMapping, Sequence
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from schemas.candidates import Asset
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks.geometry.meshes import sample_surface, surface_of_glb
 from tasks.selection.model.clouds import Array, ColoredCloud, packed, spread_cloud, unpacked
 from tasks.selection.model.config import NoQuery, OwnImage, SelectionModel
@@ -131,7 +131,7 @@ def config_from(text: str) -> SelectionModel:
         InputError: there is none in it.
     """
     try:
-        return adapter(SelectionModel).validate_python(json.loads(text)["model"])
+        return adapter(SelectionModel).validate_python(json_value(text)["model"])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             "model", "config", "is not that of a selection model", "train it again, or import it with its own config"

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import pyarrow as pa
 
+from schemas.text import page_text
 from tasks.films.drives import DriveStill
 from tasks.films.walks import WalkStrip
 from tasks.stats.columns import report_grids
@@ -66,7 +67,13 @@ def render_report(content: ReportContent) -> str:
     def read(name: str) -> str:
         return (resources.files("tasks.stats.page") / name).read_text(encoding="utf-8")
 
-    environment = Environment(loader=FunctionLoader(read), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    def fit_to_show(value: object) -> object:
+        """Texts without control characters; what is HTML already is made without them."""
+        return page_text(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+    environment = Environment(
+        loader=FunctionLoader(read), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=fit_to_show,
+    )  # fmt: skip
     grids = report_grids(content.answers, content.totals, content.stages)
     sections = _sections(content, grids)
     return environment.get_template("report.html.jinja").render(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks.settings import WHOLE, Config, NonNegative, Share, adapter, union_of
 
 # Most of each: settings come with models of others, and what is allocated follows from their word.
@@ -156,7 +156,7 @@ def config_from(text: str) -> Diffusion | Atiss:
         InputError: there is none in it.
     """
     try:
-        return adapter(SynthesisModel).validate_python(json.loads(text)["model"])
+        return adapter(SynthesisModel).validate_python(json_value(text)["model"])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             "model", "config", "is not that of a synthesis model", "train it again, or import it with its own config"

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from tasks.synthesis.layout import UNKNOWN_ROOM, Array, Large, Layout
 
 Vectors = NDArray[np.float32]
@@ -207,7 +208,7 @@ def encoding_in(arrays: Mapping[str, NDArray[Any]], file: str = "weights") -> En
             raise InputError(file, name, "is missing", remedy)
     bounds = np.asarray(arrays[BOUNDS], dtype=np.float64)
     try:
-        words = json.loads(np.asarray(arrays[VOCABULARY]).tobytes().decode())
+        words = json_value(np.asarray(arrays[VOCABULARY]).tobytes().decode())
         lists = [tuple(words[name]) for name in ("classes", "small", "large", "rooms")]
         heights = words.get("heights", "middles")
     except (ValueError, KeyError, TypeError, RecursionError) as error:

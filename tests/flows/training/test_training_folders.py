@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 
 from bench.samples import fingerprint, stage_run, stage_whole_scene
+from flows.training import models as models_of_lake
 from flows.training import training
 from flows.training.contents import content_of
 from flows.training.folders import document_of, export_model, import_model, withdraw_model
-from flows.training.models import listed_models
+from flows.training.models import listed_models, shipped_models, shipped_rows
 from flows.training.training import planned_training, system_configuration
 from schemas.errors import InputError
 from schemas.training import LearnedModel
-from tasks.models import identity_json, model_id_of
+from tasks.models import ModelFolder, identity_json, model_id_of
 from tasks.selection.model.config import OwnImage, OwnText, PointNet2, SelectionModel, Small
 from tasks.selection.model.shapes import shapes_of
 from tasks.training.systems.selection import SelectionTraining
@@ -158,6 +159,70 @@ def test_what_fits_is_taken_in_and_is_the_newest(lake: Lake, tmp_path: Path) -> 
     assert (is_new, row.origin, row.snapshot_id) == (True, "imported", None)
     assert listed_models(lake.snapshot())[0][0] == row
     assert import_model(lake, tmp_path / "m") == (row, False)
+
+
+FIGURE = {"method": "selection", "dataset": "d", "split": "test", "metric": "m", "value": 0.5, "low": None, "high": None, "examples": 3}
+OTHER_FACTS: list[tuple[dict[str, Any], str]] = [
+    ({"license": "MIT"}, "license: is 'MIT', and 'CC0-1.0' in"),
+    ({"dataset": "snapshot 9"}, "dataset: is 'snapshot 9', and 'snapshot 1' in"),
+    ({"dataset_fingerprint": "c" * 64}, "dataset_fingerprint: is 'ccc"),
+    ({"examples": {"train": 6}}, "examples: is {'train': 6}, and {'train': 5} in"),
+    ({"notes": ["better"]}, "notes: is ['better'], and ['made up'] in"),
+    ({"architecture": "large"}, "architecture: is 'large', and 'small' in"),
+    ({"parent_id": "d" * 64}, "parent_id: is 'ddd"),
+    ({"is_fallback": True}, "is_fallback: is True, and False in"),
+    ({"seed": 1}, "seed: is 1, and 0 in"),
+    ({"measures": [FIGURE | {"value": 0.9}]}, "measures of selection, d, test, m: is [0.9, None, None, 3], and [0.5, None, None, 3] in"),
+    ({"measures": [FIGURE, FIGURE | {"metric": "n"}]}, "measures of selection, d, test, n: is [0.5, None, None, 3], and None in"),
+]
+
+
+@pytest.mark.parametrize(("fields", "said"), OTHER_FACTS)
+@pytest.mark.parametrize("origin", ["imported", "withdrawn", "bundled"])
+def test_the_same_weights_with_other_facts_are_refused(
+    lake: Lake, tmp_path: Path, fields: dict[str, Any], said: str, origin: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = folder(tmp_path / "first", measures=[FIGURE])
+    if origin == "bundled":
+        monkeypatch.setattr(models_of_lake, "shipped_models", lambda kind=None: iter([("small", ModelFolder(first))]))
+    else:
+        import_model(lake, first)
+    if origin == "withdrawn":
+        withdraw_model(lake, model_row().model_id, "wrong license")
+    before = lake.snapshot().rows(LearnedModel) if lake.exists else []
+    with pytest.raises(InputError) as refused:
+        import_model(lake, folder(tmp_path / "second", **({"measures": [FIGURE]} | fields)))
+    assert said in str(refused.value)
+    assert "with the same weights; ask its author for the unchanged folder" in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert (lake.snapshot().rows(LearnedModel) if lake.exists else []) == before
+
+
+def test_a_bundled_model_is_the_same_after_export_and_import(lake: Lake, tmp_path: Path) -> None:
+    for name, bundled in shipped_rows().items():
+        export_model(None, name, tmp_path / name)
+        assert import_model(lake, tmp_path / name) == (bundled, False)
+    assert not lake.exists
+    kinds = [folder_name for folder_name, _ in shipped_models()]
+    assert len(kinds) == len(set(kinds)), "a bundled name stands for one model"
+
+
+def test_an_id_that_begins_like_another_does_not_replace_it(lake: Lake, tmp_path: Path) -> None:
+    config = changed("validation_share", 0.01)
+    other = folder(tmp_path / "other", config=config)
+    kept(lake, model_row(training_id=f"import-{model_row(config=config).model_id[:16]}", origin="imported"))
+    with pytest.raises(InputError, match="begins like the id of another model"):
+        import_model(lake, other)
+
+
+@pytest.mark.parametrize("text", ["a\nb", "a\x1b[31m", "a\x00b", "a\u202eb", "a\tb", "a\u2066b"])
+@pytest.mark.parametrize("field", ["license", "dataset", "architecture", "device", "notes", "measures"])
+def test_texts_with_control_characters_are_refused(lake: Lake, tmp_path: Path, field: str, text: str) -> None:
+    value: Any = {"notes": [text], "measures": [FIGURE | {"dataset": text}]}.get(field, text)
+    with pytest.raises(InputError, match=f"{field}: .*control character") as refused:
+        import_model(lake, folder(tmp_path / "m", **{field: value}))
+    assert "\n" not in str(refused.value)
+    assert text not in str(refused.value)
 
 
 def test_a_model_that_is_withdrawn_and_imported_again_is_what_it_was(lake: Lake, tmp_path: Path) -> None:

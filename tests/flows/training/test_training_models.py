@@ -15,7 +15,7 @@ from bench.samples import fingerprint, sample, stage_batch, stage_run, stage_who
 from flows.training import datasets
 from flows.training import models as models_of_lake
 from flows.training.datasets import chosen_dataset
-from flows.training.models import found_model, listed_models, loaded_model, wanted_model
+from flows.training.models import found_model, listed_models, loaded_model, shipped_rows, wanted_model
 from schemas.annotation import Annotation
 from schemas.candidates import Asset
 from schemas.capture import Instance
@@ -117,13 +117,27 @@ def test_a_model_is_meant_by_its_id_its_beginning_or_its_name(lake: Lake, shippe
         found_model(lake.snapshot(), start)
 
 
-def test_a_shipped_model_keeps_its_name_in_a_lake_that_has_it(lake: Lake, shipped: str) -> None:
-    """Trained or imported there, too."""
-    row = kept(lake, 5, at=1, model_id=shipped)
-    reader = lake.snapshot()
-    assert found_model(reader, "small") == (row, "small")
-    assert listed_models(reader) == [(row, "small")]
-    assert wanted_model(reader, WantedModel(KIND, "small")) == row
+def test_no_row_of_a_lake_replaces_a_bundled_model(lake: Lake, shipped: str) -> None:
+    """Rows with its id, rows that claim to be bundled, and ids that begin like its name."""
+    (bundled,) = shipped_rows().values()
+    for seed, origin in ((5, "trained"), (6, "imported")):
+        kept(lake, seed, at=seed, model_id=shipped, origin=origin, license="of somebody else")
+        reader = lake.snapshot()
+        assert listed_models(reader) == [(bundled, "small")]
+        for text in ("small", shipped, shipped[:12]):
+            assert found_model(reader, text) == (bundled, "small")
+        assert wanted_model(reader, WantedModel(KIND)) == wanted_model(reader, WantedModel(KIND, "small")) == bundled
+        assert loaded_model(lake, reader.rows_by_key(LearnedModel, [shipped])[0]).weights == WEIGHTS
+    kept(lake, 7, at=7, origin="shipped")
+    assert listed_models(lake.snapshot()) == [(bundled, "small")]
+
+
+def test_a_bundled_name_comes_before_ids_that_begin_like_it(lake: Lake, shipped: str, tmp_path: Path) -> None:
+    row = kept(lake, 1, at=1)
+    name = row.model_id[:4]
+    (tmp_path / "shipped" / "small").rename(tmp_path / "shipped" / name)
+    assert found_model(lake.snapshot(), name)[0].model_id == shipped
+    assert found_model(lake.snapshot(), row.model_id[:5])[0] == row
 
 
 def test_weights_that_are_gone_or_of_another_model_are_refused(lake: Lake, shipped: str) -> None:

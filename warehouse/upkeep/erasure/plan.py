@@ -7,6 +7,7 @@ import json
 from datetime import datetime
 
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from warehouse.storage.files import Storage
 from warehouse.upkeep.erasure.traces import Traces
 
@@ -51,7 +52,7 @@ def read_plan(storage: Storage) -> ErasurePlan | None:
     except FileNotFoundError:
         return None
     try:
-        fields = json.loads(data)
+        fields = json_value(data)
         sets = {name: frozenset(map(str, fields[name])) for name in ("names", "spared", "blobs", "assets", "releases")}
         begun = datetime.fromisoformat(fields["started_at"])
         traces = Traces(sets["names"], sets["spared"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 
 from schemas.errors import InputError
+from schemas.json_values import json_value
 from schemas.record import BLOB_PATTERN
 from schemas.runs import Release, Snapshot
 from schemas.tables import TABLES
@@ -122,7 +122,7 @@ def release_findings(lake: Lake, snapshots: Sequence[Snapshot], only: str | None
             problem = f"names snapshot {release.snapshot_id}, which the lake has not"
             yield Fault("release snapshot", f"{folder}/{RECORD}", "snapshot_id", problem, "restore the lake from a backup")
         if not quick:
-            yield from _checksum_findings(lake, folder, json.loads(lake.storage.read(f"{folder}/{RECORD}")))
+            yield from _checksum_findings(lake, folder, json_value(lake.storage.read(f"{folder}/{RECORD}")))
         yield from _count_findings(lake, release, folder)
 
 

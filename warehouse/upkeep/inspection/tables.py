@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 from collections.abc import Iterator, Sequence
 
 import pyarrow as pa
 
+from schemas.json_values import json_value
 from schemas.runs import Snapshot
 from schemas.tables import TABLES
 from warehouse.lake import Lake
@@ -139,7 +139,7 @@ class TableChecks:
             if entry.path.endswith(".json"):
                 for line in data.decode(errors="replace").splitlines():
                     try:
-                        action = json.loads(line)
+                        action = json_value(line)
                     except ValueError:
                         continue
                     logged.update(str(action[kind]["path"]) for kind in ("add", "remove") if kind in action)
