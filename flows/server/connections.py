@@ -222,24 +222,30 @@ class _Server(uvicorn.Server):
 
 
 def run_server(app: App, listening: socket.socket, level: str = "warning", patience: int | None = None, has_sockets: bool = False) -> None:
-    """Serve an application on a socket until interrupted, within the limits of this module.
+    """Serve an application on a bound socket until interrupted. Parameters are those of `limited_server`."""
+    server = limited_server(app, level, patience, has_sockets)
+    with counted_errors(), contextlib.suppress(KeyboardInterrupt):
+        server.run(sockets=[listening])
+
+
+def limited_server(app: App, level: str = "warning", patience: int | None = None, has_sockets: bool = False) -> uvicorn.Server:
+    """A server of an application within the limits of this module.
 
     Args:
         app: application that calls `admit` for each request with a valid token.
-        listening: bound socket.
         level: lowest level of uvicorn's messages that are written.
         patience: time that requests have at the end to be answered [s]; no limit where None.
         has_sockets: whether the application takes WebSockets.
     """
     connections = Connections(connection_limit())
-    config = uvicorn.Config(
-        app, http=cast(Any, partial(LimitedProtocol, connections)),
-        ws=cast(Any, partial(LimitedSocketProtocol, connections)) if has_sockets else "none",
-        log_level=level, access_log=False, backlog=MAX_ACCEPTED_AT_ONCE, timeout_keep_alive=MAX_IDLE_SECONDS,
-        timeout_graceful_shutdown=patience, h11_max_incomplete_event_size=MAX_HEAD_BYTES,
+    return _Server(
+        uvicorn.Config(
+            app, http=cast(Any, partial(LimitedProtocol, connections)),
+            ws=cast(Any, partial(LimitedSocketProtocol, connections)) if has_sockets else "none",
+            log_level=level, access_log=False, backlog=MAX_ACCEPTED_AT_ONCE, timeout_keep_alive=MAX_IDLE_SECONDS,
+            timeout_graceful_shutdown=patience, h11_max_incomplete_event_size=MAX_HEAD_BYTES,
+        )
     )  # fmt: skip
-    with counted_errors(), contextlib.suppress(KeyboardInterrupt):
-        _Server(config).run(sockets=[listening])
 
 
 @contextlib.contextmanager
