@@ -32,6 +32,9 @@ NAMING = ("PREFECT_API_URL", "PREFECT_SERVER_UI_API_URL", "PREFECT_UI_URL", ORIG
 ADMIT = "metascenes.admit"
 """Key of a scope: a function without arguments that calls the connection trusted (`flows.server.connections`)."""
 
+PLAIN_HEADERS = ((b"x-content-type-options", b"nosniff"), (b"x-frame-options", b"DENY"), (b"cache-control", b"no-store"))
+"""Headers of refusals that come from no application."""
+
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[MutableMapping[str, Any], Receive, Send], Awaitable[None]]
@@ -69,7 +72,7 @@ class Doorkeeper:
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008, "reason": refusal})
         else:
-            headers = [(b"content-type", b"text/plain; charset=utf-8")]
+            headers = [(b"content-type", b"text/plain; charset=utf-8"), *PLAIN_HEADERS]
             await send({"type": "http.response.start", "status": 403, "headers": headers})
             await send({"type": "http.response.body", "body": f"{refusal}\n".encode()})
 

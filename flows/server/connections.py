@@ -23,7 +23,7 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from flows.server.access import ADMIT, App, Receive, Send
+from flows.server.access import ADMIT, PLAIN_HEADERS, App, Receive, Send
 from schemas.errors import InputError
 
 MAX_CONNECTIONS = 2048
@@ -159,7 +159,7 @@ class LimitedProtocol(H11Protocol):
         if self.conn.our_state not in (h11.IDLE, h11.SEND_RESPONSE):
             self.transport.abort()
             return
-        headers = [(b"content-type", b"text/plain; charset=utf-8"), *_PLAIN_HEADERS, (b"connection", b"close")]
+        headers = [(b"content-type", b"text/plain; charset=utf-8"), *PLAIN_HEADERS, (b"connection", b"close")]
         reason = http.HTTPStatus.BAD_REQUEST.phrase.encode()
         for event in (h11.Response(status_code=400, headers=headers, reason=reason), h11.Data(data=msg.encode()), h11.EndOfMessage()):
             self.transport.write(self.conn.send(event) or b"")
@@ -312,11 +312,7 @@ def counted_errors() -> Iterator[None]:
             cast(logging.Handler, handler).removeFilter(counted)
 
 
-_PLAIN_HEADERS = ((b"x-content-type-options", b"nosniff"), (b"x-frame-options", b"DENY"), (b"cache-control", b"no-store"))
-"""Headers of refusals that no application gave."""
-
-
 async def _send_refusal(send: Send, status: int, reason: str) -> None:
-    headers = [(b"content-type", b"text/plain; charset=utf-8"), *_PLAIN_HEADERS, (b"connection", b"close")]
+    headers = [(b"content-type", b"text/plain; charset=utf-8"), *PLAIN_HEADERS, (b"connection", b"close")]
     await send({"type": "http.response.start", "status": status, "headers": headers})
     await send({"type": "http.response.body", "body": f"{reason}\n".encode()})

@@ -100,7 +100,8 @@ class Gate:
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
         shown = query.get("token", [])
         is_entrance = scope["type"] == "http" and scope["method"] == "GET" and scope["path"] == self._home and bool(shown)
-        session = self._kept(headers.get(b"cookie", ""))
+        cookies = "; ".join(value.decode("latin-1") for name, value in scope.get("headers", ()) if name.lower() == b"cookie")
+        session = self._kept(cookies)
         person = self._sessions.person_of_token(shown[0]) if is_entrance else self._sessions.person(session)
         if person is None:
             await _refuse(scope, send, 401, "open the address that the command printed: its token is missing here, or has ended")
