@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import re
 import secrets
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, MutableMapping
 from typing import Any
 from urllib.parse import parse_qs
@@ -33,8 +32,8 @@ HEADERS = (
 People = Callable[[], Mapping[str, str]]
 """Names by token, as they are now: tokens are withdrawn and renewed while a server runs."""
 
-MAX_SESSIONS = 1000
-"""Sessions of all people together; each opening of an address with a token begins one, and the oldest ones end."""
+MAX_SESSIONS = 100
+"""Sessions of one token. Each opening of its address begins one; then the oldest one ends, and others' stay as they are."""
 
 _READING = {"GET", "HEAD"}
 _WELCOME = """<!doctype html>
@@ -59,14 +58,16 @@ class Sessions:
 
     def __init__(self, people: People) -> None:
         self._people = people
-        self._tokens = OrderedDict[bytes, str]()  # by hash of the session: finding one takes no time that tells about another
+        self._tokens: dict[bytes, str] = {}  # by hash of the session: finding one takes no time that tells about another
 
     def begin(self, token: str) -> str:
         """Begin a session of the person who has a token."""
-        session = new_token()
+        session, people = new_token(), self._people()
+        self._tokens = {each: held for each, held in self._tokens.items() if held in people}
+        own = [each for each, held in self._tokens.items() if held == token]
+        for each in own[: max(0, len(own) + 1 - MAX_SESSIONS)]:
+            del self._tokens[each]
         self._tokens[_hash(session)] = token
-        if len(self._tokens) > MAX_SESSIONS:
-            self._tokens.popitem(last=False)
         return session
 
     def person(self, session: str) -> str | None:

@@ -148,8 +148,10 @@ def test_a_session_is_of_one_server_and_ends_with_its_token() -> None:
 def test_the_newest_sessions_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gate, "MAX_SESSIONS", 3)
     sessions = gate.Sessions(lambda: TOKENS)
+    other = sessions.begin(next(token for token, name in TOKENS.items() if name == "bert"))
     begun = [sessions.begin(TOKEN) for _ in range(5)]
     assert [sessions.person(session) for session in begun] == [None, None, "anna", "anna", "anna"]
+    assert sessions.person(other) == "bert", "those of others stay"
 
 
 @pytest.mark.parametrize("at", [EVIL, '"><script>1</script>', "//evil.example", "a b", "x" * 201])
