@@ -242,7 +242,7 @@ def limited_server(app: App, level: str = "warning", patience: int | None = None
         uvicorn.Config(
             app, http=cast(Any, partial(LimitedProtocol, connections)),
             ws=cast(Any, partial(LimitedSocketProtocol, connections)) if has_sockets else "none",
-            log_level=level, access_log=False, backlog=MAX_ACCEPTED_AT_ONCE, timeout_keep_alive=MAX_IDLE_SECONDS,
+            loop="asyncio", log_level=level, access_log=False, backlog=MAX_ACCEPTED_AT_ONCE, timeout_keep_alive=MAX_IDLE_SECONDS,
             timeout_graceful_shutdown=patience, h11_max_incomplete_event_size=MAX_HEAD_BYTES,
         )
     )  # fmt: skip

@@ -283,6 +283,11 @@ def bodies() -> Iterator[tuple[str, bytes, tuple[tuple[bytes, bytes], ...]]]:
         "twice": b'{"edit": 1, "edit": 2}', "too large": b'{"page": "' + b"x" * requests.MOST_BYTES + b'"}', 
         "huge": b" " * (1 << 20) + b"{}",
         "unknown field": b'{"__proto__": {"roles": ["reviewer"]}}', "path": b'{"file": "../../secret.txt"}',
+        "half a letter as a field": b'{"\\ud800": 1}', "half a letter as a choice": b'{"choice": "\\ud800", "edit": 1}',
+        "half a letter as a page": b'{"choice": 1, "edit": 1, "page": "\\ud800"}',
+        "half a letter as a remark": b'{"passes": false, "remark": "\\udfff"}', "zero": b'{"choice": "\\u0000", "edit": 1}',
+        "zero as a remark": b'{"passes": false, "remark": "\\u0000"}',"long choice": b'{"choice": "' + b"x" * 60_000 + b'", "edit": 1}',
+        
     }.items():  # fmt: skip
         yield name, body, (JSON_TYPE,)
     for kind in (b"text/plain", b"application/x-www-form-urlencoded", b"multipart/form-data; boundary=x", b"", b"application/jsonx"):
