@@ -258,10 +258,62 @@ def serve_batch(
             return
         width = max(map(len, people))
         for name, entry in people.items():
-            click.echo(f"{name:<{width}}  {entry['address']}  ({' and '.join(entry['roles'])})")
+            address = entry["address"] or f"withdrawn; `metascenes annotate tokens {batch_id} --renew {name}` makes a new address"
+            click.echo(f"{name:<{width}}  {address}  ({' and '.join(entry['roles'])})")
         click.echo("each token lets in whoever has it, as that person; Ctrl-C ends")
 
     serve_annotation(existing_lake(address), batch_id, reviewers, drafts, host, port, announce)
+
+
+@command.command("tokens")
+@click.argument("batch_id", metavar="BATCH")
+@click.option("--withdraw", "withdrawn", multiple=True, metavar="NAME", help="Let this person in no more; may be repeated.")
+@click.option("--renew", "renewed", multiple=True, metavar="NAME", help="Give this person a new address, the only one; may be repeated.")
+@click.option("--addresses", is_flag=True, help="Print addresses with their tokens.")
+@click.option("--dry-run", is_flag=True, help="Print the people as they would be; change nothing.")
+@click.option(
+    "--drafts", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", show_default="in the folder of the lake",
+    help="File of drafts that was given to `serve`.",
+)  # fmt: skip
+@lake_option
+@json_option
+def list_tokens(
+    batch_id: str, withdrawn: tuple[str, ...], renewed: tuple[str, ...], addresses: bool, dry_run: bool, drafts: Path | None, address: str,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """List the people who have a token of a served batch; withdraw tokens, or renew them.
+
+    A running server notices: the next request of a person whose token was withdrawn or renewed is refused. Who was withdrawn stays
+    so until renewed, also when the server starts again.
+
+    Example: metascenes annotate tokens batch-1 --withdraw bob --lake ./lake
+    """
+    from flows.inputs.annotation import batch_list
+    from flows.view.annotating.hosting import drafts_file, key_file
+    from warehouse.tables.gate import person
+
+    if {person(name) for name in withdrawn} & {person(name) for name in renewed}:
+        raise click.UsageError("--withdraw and --renew name the same person: give one of them")
+    lake = existing_lake(address)
+    batch_list(lake, batch_id)  # the batch is in the lake
+    file = key_file(drafts or drafts_file(lake, batch_id))
+    keys = file.change(withdrawn, renewed, dry_run) if withdrawn or renewed else file.read()
+    new = {person(name) for name in renewed}
+    rows = []
+    for name, key in sorted(keys.people.items()):
+        is_shown = not dry_run and (addresses or person(name) in new)
+        row = {"person": name, "roles": list(key.roles), "state": "valid" if key.token else "withdrawn", "since": key.since or None}
+        rows.append(row | ({"address": keys.address(name)} if is_shown else {}))
+    if as_json:
+        print(json.dumps({"batch_id": batch_id, "people": rows}))
+        return
+    width = max((len(row["person"]) for row in rows), default=0)
+    for row in rows:
+        words = [f"{row['person']:<{width}}", row["state"], f"since {row['since'] or 'an earlier version'}"]
+        words += [" and ".join(row["roles"])] if row["roles"] else []
+        print("  ".join([*words, *([row["address"]] if row.get("address") else [])]))
+    if not rows:
+        print(f"no tokens yet; next: metascenes annotate serve {batch_id}")
 
 
 @command.command("list")

@@ -7,7 +7,9 @@ origin, and a browser reaches the loopback for whoever wrote the page: by its ad
 
 from __future__ import annotations
 
+import base64
 import contextlib
+import json
 import os
 import secrets
 import stat
@@ -26,6 +28,12 @@ ORIGINS = "PREFECT_SERVER_CORS_ALLOWED_ORIGINS"
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 NAMING = ("PREFECT_API_URL", "PREFECT_SERVER_UI_API_URL", "PREFECT_UI_URL", ORIGINS)
 """Variables of a server's environment that say under which addresses people and workers reach it."""
+
+ADMIT = "metascenes.admit"
+"""Key of a scope: a function without arguments that calls the connection trusted (`flows.server.connections`)."""
+
+PLAIN_HEADERS = ((b"x-content-type-options", b"nosniff"), (b"x-frame-options", b"DENY"), (b"cache-control", b"no-store"))
+"""Headers of refusals that come from no application."""
 
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
@@ -64,7 +72,7 @@ class Doorkeeper:
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008, "reason": refusal})
         else:
-            headers = [(b"content-type", b"text/plain; charset=utf-8")]
+            headers = [(b"content-type", b"text/plain; charset=utf-8"), *PLAIN_HEADERS]
             await send({"type": "http.response.start", "status": 403, "headers": headers})
             await send({"type": "http.response.body", "body": f"{refusal}\n".encode()})
 
@@ -80,6 +88,50 @@ class Doorkeeper:
         if any(origin_of(origin) not in self._origins for origin in values[b"origin"]):
             return "pages of other servers may not ask this one"
         return ""
+
+
+def admit(scope: Mapping[str, Any]) -> None:
+    """Call the connection of a request trusted: whoever sent it showed a valid token."""
+    scope.get(ADMIT, lambda: None)()
+
+
+class TokenWatch:
+    """An ASGI application that admits requests with the token of a Prefect server. Prefect itself refuses those without."""
+
+    def __init__(self, app: App, token: str) -> None:
+        self._app, self._token = app, token
+        self._header = b"Basic " + base64.b64encode(token.encode())
+
+    async def __call__(self, scope: MutableMapping[str, Any], receive: Receive, send: Send) -> None:
+        """See the specification of ASGI."""
+        if scope["type"] == "http":
+            shown = next((value for name, value in scope["headers"] if name == b"authorization"), b"")
+            if secrets.compare_digest(shown, self._header):
+                admit(scope)
+        await self._app(scope, self._watched(scope, receive) if scope["type"] == "websocket" else receive, send)
+
+    def _watched(self, scope: Mapping[str, Any], receive: Receive) -> Receive:
+        """Messages of a WebSocket, whose first one shows the token."""
+        is_first = True
+
+        async def received() -> MutableMapping[str, Any]:
+            nonlocal is_first
+            message = await receive()
+            if message["type"] == "websocket.receive" and is_first:
+                is_first = False
+                if self._shows_token(message.get("text") or ""):
+                    admit(scope)
+            return message
+
+        return received
+
+    def _shows_token(self, text: str) -> bool:
+        try:
+            said = json.loads(text)
+        except (ValueError, RecursionError):
+            return False
+        token = said.get("token") if isinstance(said, dict) else None
+        return isinstance(token, str) and secrets.compare_digest(token.encode(errors="replace"), self._token.encode())
 
 
 def _unframed(send: Send) -> Send:

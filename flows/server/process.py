@@ -21,13 +21,14 @@ import time
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator
-from typing import IO, Any
+from typing import IO
 
 from flows.server.access import (
     CLIENT_TOKEN,
     ORIGINS,
     SERVER_TOKEN,
     Doorkeeper,
+    TokenWatch,
     close_home,
     new_token,
     own_origins,
@@ -228,15 +229,17 @@ def serve(host: str, port: int, descriptor: int | None = None) -> None:
     os.environ[ORIGINS] = ",".join(own_origins(port, os.environ))
     prefect_home().mkdir(parents=True, exist_ok=True, mode=0o700)
     close_home(os.environ.get(DATABASE, ""))
-    import uvicorn
     from prefect.server.api.server import create_app
+
+    from flows.server.connections import bound, run_server
 
     app = create_app()
     os.umask(0o077)  # from here on: the pages that were unpacked may be another user's, too; the database may not
-    where: dict[str, Any] = {"host": host, "port": port} if descriptor is None else {"fd": descriptor}
     level = os.environ.get("PREFECT_SERVER_LOGGING_LEVEL", "warning").lower()
     level = "info" if level in ("debug", "trace") else level  # below, uvicorn writes down what clients send, tokens included
-    uvicorn.run(Doorkeeper(app, os.environ[ORIGINS].split(",")), log_level=level, timeout_keep_alive=5, **where)
+    watched = TokenWatch(app, os.environ[SERVER_TOKEN])
+    with bound(host, port) if descriptor is None else socket.socket(fileno=os.dup(descriptor)) as listening:
+        run_server(Doorkeeper(watched, os.environ[ORIGINS].split(",")), listening, level, has_sockets=True)
 
 
 def main() -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from schemas.errors import InputError
+from schemas.files import is_there
 
 BUILT = Path(__file__).parent / "built"
 
@@ -21,7 +22,7 @@ def client_file(name: str) -> bytes:
     """
     if not (BUILT / "view.js").is_file():
         raise InputError("metascenes view", "client", "was not built", "`make client` in a checkout does; it needs three.js from npm once")
-    if Path(name).name != name or Path(name).suffix not in KINDS or not (BUILT / name).is_file():
+    if Path(name).name != name or Path(name).suffix not in KINDS or not is_there(BUILT / name):
         raise KeyError(name)
     return (BUILT / name).read_bytes()
 

@@ -9,14 +9,14 @@ import socket
 import sys
 import tempfile
 import webbrowser
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from flows.server.access import new_token
-from flows.view.gate import guarded
-from schemas.errors import InputError
+from flows.server.connections import bound, run_server
+from flows.view.gate import People, guarded
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -38,55 +38,39 @@ def serve(app: FastAPI, host: str, port: int, announce: Callable[[str], None], b
         InputError: the host or port cannot be had.
     """
     with contextlib.ExitStack() as until_the_end:
+        listening = until_the_end.enter_context(bound(host, port))
+        token = new_token()
 
-        def show(addresses: Mapping[str, str]) -> None:
-            address = addresses["viewer"] + (f"&at={quote(at)}" if at else "")
+        def show() -> None:
+            address = f"{origin_at(host, listening)}/?token={token}" + (f"&at={quote(at)}" if at else "")
             announce(address)
             if browser and _has_screen():
                 webbrowser.open(until_the_end.enter_context(_leading_to(address)))
 
-        with bound(host, port) as listening:
-            serve_people(app, host, listening, {new_token(): "viewer"}, show)
+        serve_people(app, host, listening, lambda: {token: "viewer"}, show)
 
 
 def serve_people(
-    app: FastAPI, host: str, listening: socket.socket, people: Mapping[str, str], announce: Callable[[Mapping[str, str]], None],
-    patience: int = 2,
-) -> None:  # fmt: skip
+    app: FastAPI, host: str, listening: socket.socket, people: People, announce: Callable[[], None], patience: int = 2
+) -> None:
     """Serve an application to people, each by a token of their own, until interrupted.
 
-    `people`: names by token. `announce` is called with everybody's address by name once the server answers. `patience`: how long a
-    request that is being answered at the end is waited for [s].
+    `people`: asked with each request. `announce` is called once the server answers. `patience`: how long a request that is being
+    answered at the end is waited for [s].
     """
-    import uvicorn
-
-    number = listening.getsockname()[1]
-    name = socket.gethostname().lower() if host in _EVERYWHERE else f"[{host}]" if ":" in host else host
     listening.listen(64)  # from here on who opens the address is answered, if a moment later
-    announce({person: f"http://{name}:{number}/?token={token}" for token, person in people.items()})
-    guard = guarded(app, number, people, [name])
-    # below warnings uvicorn writes down what clients send, tokens included
-    server = uvicorn.Server(uvicorn.Config(guard, log_level="warning", access_log=False, timeout_graceful_shutdown=patience))
-    with contextlib.suppress(KeyboardInterrupt):
-        server.run(sockets=[listening])
+    announce()
+    guard = guarded(app, listening.getsockname()[1], people, [_name(host)])
+    run_server(guard, listening, patience=patience)  # below warnings uvicorn writes down what clients send, tokens included
 
 
-@contextlib.contextmanager
-def bound(host: str, port: int) -> Iterator[socket.socket]:
-    """A socket at a host and port of this machine.
+def origin_at(host: str, listening: socket.socket) -> str:
+    """The address of a server's pages, without a path."""
+    return f"http://{_name(host)}:{listening.getsockname()[1]}"
 
-    Raises:
-        InputError: it is taken, or not this machine's.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as made:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            made.bind((host, port))
-        except (OSError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise InputError(f"{host}:{port}", "--port", f"cannot be had ({reason})", "leave --port away for a free one") from error
-        yield made
+
+def _name(host: str) -> str:
+    return socket.gethostname().lower() if host in _EVERYWHERE else f"[{host}]" if ":" in host else host
 
 
 @contextlib.contextmanager

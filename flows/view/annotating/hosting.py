@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import socket
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from flows.server.connections import bound
 from flows.view.annotating.drafts import Drafts, drafts_folder
-from flows.view.annotating.people import Keys, keep_keys, kept_keys
+from flows.view.annotating.keys import KeyFile
 from flows.view.annotating.routes import annotation_application
 from flows.view.annotating.settling import Rooms
 from flows.view.annotating.work import ServedBatch, created_batch
-from flows.view.serving import bound, serve_people
+from flows.view.serving import origin_at, serve_people
 from schemas.errors import InputError
 from warehouse.lake import Lake
 
@@ -26,7 +28,8 @@ def serve_annotation(
     lake: Lake, batch_id: str, reviewers: Sequence[str], file: Path | None, host: str, port: int,
     announce: Callable[[dict[str, dict[str, Any]]], None],
 ) -> None:  # fmt: skip
-    """Serve a batch to its annotators and to reviewers until interrupted. `announce` is called with roles and address by name.
+    """Serve a batch to its annotators and to reviewers until interrupted. `announce` is called with roles and address by name; the
+    address is None where the person's token was withdrawn.
 
     `file`: of the drafts; in the lake's folder when none is named. Port 0 is the one of the last time, while it is free.
 
@@ -40,27 +43,34 @@ def serve_annotation(
     with contextlib.closing(Drafts(place, batch_id)) as drafts:
         work = ServedBatch(lake, batch_id, drafts, reviewers)
         rooms = Rooms(work)
-        tokens = place.with_name(f"{place.name}.tokens")
-        keys = kept_keys(tokens, work.roles)
-        with _listening(host, port, keys.port) as listening:
-            is_asked = bool(port) or not keys.port
-            # where another server of the batch has the port, its addresses stay what is kept
-            keep_keys(tokens, Keys(keys.tokens, listening.getsockname()[1] if is_asked else keys.port))
+        tokens = key_file(place)
+        last = tokens.read().port
+        with _listening(host, port, last) as listening:
+            own, origin = listening.getsockname()[1], origin_at(host, listening)
+            # Where another server of the batch has the port, its addresses stay those that are kept.
+            is_kept = bool(port) or last in (0, own)
+            keys = tokens.serve(work.roles, own, origin) if is_kept else tokens.serve(work.roles)
 
             ending = threading.Event()
             warming = threading.Thread(target=rooms.warm, args=(ending,), name="warming")
 
-            def show(addresses: Mapping[str, str]) -> None:
+            def show() -> None:
                 warming.start()
-                announce({name: {"roles": list(work.roles[name]), "address": address} for name, address in addresses.items()})
+                shown = dataclasses.replace(keys, origin=origin)
+                announce({name: {"roles": list(held), "address": shown.address(name)} for name, held in work.roles.items()})
 
-            people = {token: name for name, token in keys.tokens.items()}
             try:
-                serve_people(annotation_application(work, rooms), host, listening, people, show, PATIENCE_SECONDS)
+                app = annotation_application(work, rooms)
+                serve_people(app, host, listening, lambda: tokens.people(work.roles), show, PATIENCE_SECONDS)
             finally:
                 ending.set()
                 if warming.ident is not None:
                     warming.join()  # native code must not run on while the process ends
+
+
+def key_file(drafts: Path) -> KeyFile:
+    """The file of tokens that belongs to a file of drafts."""
+    return KeyFile(drafts.with_name(f"{drafts.name}.tokens"))
 
 
 def drafts_file(lake: Lake, batch_id: str) -> Path:

@@ -22,7 +22,18 @@ import pytest
 
 from bench.flows.services import plain_server
 from bench.flows.small_scenes import write_small_scans
-from flows.server.access import CLIENT_TOKEN, SERVER_TOKEN, Doorkeeper, close_home, kept_token, own_origins, take_token, token_file
+from flows.server.access import (
+    ADMIT,
+    CLIENT_TOKEN,
+    SERVER_TOKEN,
+    Doorkeeper,
+    TokenWatch,
+    close_home,
+    kept_token,
+    own_origins,
+    take_token,
+    token_file,
+)
 from flows.server.deployments import CHOSEN, closed
 from tests.conftest import REPOSITORY
 from tests.flows.server.test_privacy import SERVES
@@ -78,6 +89,36 @@ def test_only_own_names_and_own_pages_are_let_in(kind: str, headers: list[tuple[
     first = knocked(kind, *headers)[0]
     refused = {"http": ("http.response.start", 403), "websocket": ("websocket.close", None)}[kind]
     assert (first["type"], first.get("status")) == (("http.response.start", 200) if is_let_in else refused)
+
+
+@pytest.mark.parametrize(
+    ("kind", "shown", "is_trusted"),
+    [
+        ("http", "right", True),
+        ("http", "wrong", False),
+        ("http", None, False),
+        ("websocket", '{"type": "auth", "token": "right"}', True),
+        ("websocket", '{"type": "auth", "token": "wrong"}', False),
+        ("websocket", '{"type": "auth", "token": "\\ud800"}', False),
+        ("websocket", '["right"]', False),
+        ("websocket", "[" * 100_000, False),
+    ],
+)
+def test_a_connection_is_trusted_once_the_token_was_shown(kind: str, shown: str | None, is_trusted: bool) -> None:
+    trusted: list[bool] = []
+
+    async def receive() -> dict[str, str | None]:
+        return {"type": "websocket.receive", "text": shown}
+
+    async def behind(scope: Any, receive: Any, send: Any) -> None:
+        if kind == "websocket":
+            assert (await receive())["text"] == shown
+            await receive()
+
+    header = [(b"authorization", f"Basic {base64.b64encode(shown.encode()).decode()}".encode())] if shown and kind == "http" else []
+    scope = {"type": kind, "headers": header, ADMIT: lambda: trusted.append(True)}
+    asyncio.run(TokenWatch(behind, "right")(scope, receive, None))  # type: ignore[arg-type]
+    assert bool(trusted) == is_trusted
 
 
 def test_no_variable_makes_all_origins_own_ones() -> None:

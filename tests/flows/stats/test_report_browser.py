@@ -166,6 +166,31 @@ def test_everything_is_there_without_a_network_and_can_be_read(
     assert wrong == []
 
 
+INJECTED = """
+async () => {
+  const blocked = new Set();
+  document.addEventListener('securitypolicyviolation', event => blocked.add(event.effectiveDirective));
+  const script = document.createElement('script');
+  script.textContent = 'window.hacked = 1';
+  const style = document.createElement('style');
+  style.textContent = 'body { display: none }';
+  const image = document.createElement('img');
+  image.setAttribute('onerror', 'window.hacked = 2');
+  document.body.append(script, style, image);
+  image.src = 'data:,';
+  await new Promise(resolve => { image.addEventListener('error', () => setTimeout(resolve)); });
+  return [window.hacked ?? null, getComputedStyle(document.body).display, [...blocked].sort()];
+}
+"""
+
+
+def test_what_others_put_into_the_report_does_not_run(opened: Callable[..., tuple[Page, list[str]]]) -> None:
+    page, wrong = opened(viewport=DESK)
+    assert wrong == [], "its own script and style do"
+    assert page.evaluate("document.documentElement.classList.contains('js')")
+    assert page.evaluate(INJECTED) == [None, "block", ["script-src-attr", "script-src-elem", "style-src-elem"]]
+
+
 def rgb(color: str) -> str:
     """A color `#rrggbb` as browsers say it."""
     return "rgb({}, {}, {})".format(*(int(color[at : at + 2], 16) for at in (1, 3, 5)))

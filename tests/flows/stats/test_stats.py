@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import os
 import re
@@ -137,6 +139,18 @@ def test_the_report_is_one_file_that_refers_to_nothing_outside(report: Path) -> 
     assert not re.search(r"(?:src|href)=\"(?!data:|#)|@import|url\((?!data:|#)", re.sub(r"data:[^\"]*", "data:", html))
     assert len(html) < 10e6
     assert page.tags.count("h1") == 1
+
+
+def test_the_report_lets_its_own_script_and_style_run_alone(report: Path) -> None:
+    html = report.read_text()
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]*)"', html)
+    rules = dict(rule.split(" ", 1) for rule in policy.split("; "))
+    for tag, rule in (("script", "script-src"), ("style", "style-src-elem")):
+        (content,) = re.findall(rf"<{tag}>(.*?)</{tag}>", html, re.DOTALL)
+        assert rules[rule] == f"'sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}'"
+    assert "unsafe" not in rules["script-src"]
+    assert rules["default-src"] == "'none'"
+    assert not re.search(r"<[^>]* on[a-z]+=", html), "a policy of hashes stops handlers in attributes"
 
 
 def test_the_report_says_what_the_views_say(report: Path, lake: Lake) -> None:

@@ -128,7 +128,7 @@ class Desk:
         self.work = ServedBatch(self.lake, BATCH, self.drafts, ["rita", "Bob"])
         self.app = annotation_application(self.work, Rooms(self.work))
         self.tokens = {name: new_token() for name in self.work.roles}
-        self.guard = guarded(self.app, PORT, {token: name for name, token in self.tokens.items()})
+        self.guard = guarded(self.app, PORT, lambda: {token: name for name, token in self.tokens.items()})
 
     def stranger(self) -> TestClient:
         return TestClient(self.guard, base_url=ORIGIN, follow_redirects=False, raise_server_exceptions=False)  # type: ignore[arg-type]

@@ -17,12 +17,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.cli import cli
+from flows.server.connections import bound
 from flows.view import bundle
 from flows.view.annotating.drafts import LAYOUT, Drafts, drafts_folder
 from flows.view.annotating.hosting import serve_annotation
-from flows.view.annotating.people import Keys, keep_keys, kept_keys, roles_of
+from flows.view.annotating.keys import KeyFile
+from flows.view.annotating.people import roles_of
 from flows.view.annotating.settling import Rooms
-from flows.view.serving import bound
 from schemas.errors import InputError, LakeError
 from tests.annotated import SCENES
 from tests.flows.view.batches import BATCH, asked_lake, stand_in
@@ -191,28 +192,6 @@ def test_a_draft_that_cannot_be_written_is_not_acknowledged(tmp_path: Path) -> N
     drafts.close()
 
 
-def test_tokens_stay_while_nobody_else_could_read_them(tmp_path: Path) -> None:
-    file = tmp_path / "b1.sqlite.tokens"
-    first = kept_keys(file, ["ada", "rita"])
-    assert (first.port, len(set(first.tokens.values()))) == (0, 2)
-    keep_keys(file, Keys(first.tokens, 8765))
-    assert stat.S_IMODE(file.stat().st_mode) == 0o600
-    alone = kept_keys(file, ["ada"])
-    assert (alone.tokens, alone.port) == ({"ada": first.tokens["ada"]}, 8765)
-    keep_keys(file, alone)
-    assert kept_keys(file, ["ada", "rita"]).tokens == first.tokens, "who was left out once keeps the address"
-    file.chmod(0o644)
-    assert not set(kept_keys(file, ["ada", "rita"]).tokens.values()) & set(first.tokens.values())
-    link = tmp_path / "link"
-    file.chmod(0o600)
-    link.symlink_to(file)
-    assert kept_keys(link, ["ada"]).tokens != alone.tokens
-    for text in ("[]", '{"tokens": {"ada": "short"}, "port": 1}', '{"tokens": {}, "port": "x"}', "x"):
-        file.write_text(text)
-        with pytest.raises(InputError):
-            kept_keys(file, ["ada"])
-
-
 def test_a_person_who_answers_and_reviews_is_one() -> None:
     assert roles_of(["ada", "bob"], ["rita", "ADA", "Rita"]) == {
         "ada": ("annotator", "reviewer"), "bob": ("annotator",), "rita": ("reviewer",),
@@ -249,7 +228,7 @@ def test_the_lake_is_sound_with_drafts(tmp_path: Path) -> None:
     assert folder is not None
     with contextlib.closing(Drafts(folder / f"{BATCH}.sqlite", BATCH)) as drafts:
         drafts.save(A, "ada", {"choice": 1}, 1, "")
-        keep_keys(folder / f"{BATCH}.sqlite.tokens", kept_keys(folder / f"{BATCH}.sqlite.tokens", ["ada"]))
+        KeyFile(folder / f"{BATCH}.sqlite.tokens").serve({"ada": ("annotator",)}, 8765, "http://127.0.0.1:8765")
         answered = CliRunner().invoke(cli, ["doctor", "lake", "--lake", lake.address, "--json"])
     assert json.loads(answered.output) == {"errors": [], "warnings": []}
 

@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 import itertools
 import random
+import re
 import string
 from collections.abc import Iterator, MutableMapping
 from pathlib import Path
@@ -17,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.server.access import new_token
-from flows.view import bundle
+from flows.view import bundle, gate
 from flows.view.application import application, scene_routes
 from flows.view.gate import POLICY, guarded
 from flows.view.scene import Scenes
@@ -45,7 +46,7 @@ def stranger(lake: Lake, tmp_path_factory: pytest.TempPathFactory) -> Iterator[T
         (built / name).write_text(f"/* {name} */")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bundle, "BUILT", built)
-        app = guarded(application([scene_routes(Scenes(lake))]), PORT, TOKENS, ["scenes.example"])
+        app = guarded(application([scene_routes(Scenes(lake))]), PORT, lambda: TOKENS, ["scenes.example"])
         yield TestClient(app, base_url=ORIGIN, follow_redirects=False, raise_server_exceptions=False)  # type: ignore[arg-type]
 
 
@@ -78,7 +79,7 @@ def test_no_other_text_is_a_token(stranger: TestClient, text: str) -> None:
 @pytest.mark.parametrize("beside", ['theme={"dark":1}', "a b=c", "=", "x", f"y=metascenes_{PORT}", f"metascenes_{PORT}0=guess", "ü=\xff"])
 def test_cookies_of_others_do_not_hide_ours(stranger: TestClient, beside: str) -> None:
     scope = {"type": "http", "method": "GET", "path": "/", "query_string": b""}
-    own = f"metascenes_{PORT}={TOKEN}"
+    own = f"metascenes_{PORT}={_session(stranger.app)}"
     for header in (f"{beside}; {own}", f"{own}; {beside}", f"{beside};{own};{beside}"):
         assert _status(stranger, scope, [(b"cookie", header.encode("latin-1"))]) == 200
 
@@ -86,7 +87,8 @@ def test_cookies_of_others_do_not_hide_ours(stranger: TestClient, beside: str) -
 @given(st.text(st.characters(codec="latin-1"), max_size=30).filter(lambda text: f"metascenes_{PORT}=" not in text))
 def test_whatever_comes_along_our_cookie_is_seen_alone(stranger: TestClient, text: str) -> None:
     scope = {"type": "http", "method": "GET", "path": "/", "query_string": b""}
-    for header, status in ((f"{text}; metascenes_{PORT}={TOKEN}", 200), (f"{text}; other={TOKEN}", 401)):
+    session = _session(stranger.app)
+    for header, status in ((f"{text}; metascenes_{PORT}={session}", 200), (f"{text}; other={session}", 401)):
         assert _status(stranger, scope, [(b"cookie", header.encode("latin-1"))]) == status
 
 
@@ -98,23 +100,58 @@ def test_a_server_answers_under_its_own_name_at_any_port(name: str, port: int) -
     async def behind(scope: Any, receive: Any, send: Any) -> None:
         await send({"type": "http.response.start", "status": 200, "headers": []})
 
-    app = guarded(behind, port, TOKENS, [name])
+    app = guarded(behind, port, lambda: TOKENS, [name])
     host = name.lower() if port == 80 else f"{name.lower()}:{port}"
+    session = _session(app, port)
     for asked, origin, status in ((host, f"http://{host}", 200), (host, "http://evil.example", 403), (f"evil.example:{port}", None, 403)):
-        sent = [(b"host", asked.encode()), (b"cookie", f"metascenes_{port}={TOKEN}".encode())]
+        sent = [(b"host", asked.encode()), (b"cookie", f"metascenes_{port}={session}".encode())]
         sent += [(b"origin", origin.encode())] if origin else []
         scope = {"type": "http", "method": "GET", "path": "/", "query_string": b"", "headers": sent}
         assert _sent(app, scope)[0]["status"] == status
 
 
-def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_has(stranger: TestClient) -> None:
+def test_the_token_becomes_a_session_that_no_script_and_no_other_site_has(stranger: TestClient) -> None:
     answer = stranger.get("/", params={"token": TOKEN, "at": SCENES[1]})
-    assert answer.headers["set-cookie"] == f"metascenes_{PORT}={TOKEN}; Path=/; HttpOnly; SameSite=Strict"
+    cookie = re.fullmatch(rf"metascenes_{PORT}=([A-Za-z0-9_-]{{43}}); Path=/; HttpOnly; SameSite=Strict", answer.headers["set-cookie"])
+    assert cookie is not None
     assert answer.headers["cache-control"] == "no-store"
     assert f'content="0;url=/#{SCENES[1]}"' in answer.text
-    assert TOKEN not in answer.text
+    assert TOKEN not in f"{answer.headers}{answer.text}"
     assert stranger.get("/").status_code == 200
     stranger.cookies.clear()
+    assert stranger.get("/", params={"token": cookie[1]}).status_code == 401, "a session is not a token"
+    assert stranger.get("/", headers={"cookie": f"metascenes_{PORT}={TOKEN}"}).status_code == 401, "a token is not a session"
+
+
+def test_a_session_is_of_one_server_and_ends_with_its_token() -> None:
+    people = {TOKEN: "anna"}
+    names: list[str] = []
+
+    async def behind(scope: Any, receive: Any, send: Any) -> None:
+        names.append(scope["person"])
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    apps = [guarded(behind, PORT, lambda: people) for _ in range(2)]  # the same port and tokens: a server that is started again
+    session = _session(apps[0])
+    headers = [(b"host", f"127.0.0.1:{PORT}".encode()), (b"cookie", f"metascenes_{PORT}={session}".encode())]
+    scope = {"type": "http", "method": "GET", "path": "/", "query_string": b"", "headers": headers}
+    assert [_sent(app, scope)[0]["status"] for app in apps] == [200, 401]
+    people[new_token()] = people.pop(TOKEN)
+    assert _sent(apps[0], scope)[0]["status"] == 401, "renewed"
+    people.clear()
+    assert _sent(apps[0], scope)[0]["status"] == 401, "withdrawn"
+    people[TOKEN] = "bert"
+    assert _sent(apps[0], scope)[0]["status"] == 200
+    assert names == ["anna", "bert"], "whose token it is now"
+
+
+def test_the_newest_sessions_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gate, "MAX_SESSIONS", 3)
+    sessions = gate.Sessions(lambda: TOKENS)
+    other = sessions.begin(next(token for token, name in TOKENS.items() if name == "bert"))
+    begun = [sessions.begin(TOKEN) for _ in range(5)]
+    assert [sessions.person(session) for session in begun] == [None, None, "anna", "anna", "anna"]
+    assert sessions.person(other) == "bert", "those of others stay"
 
 
 @pytest.mark.parametrize("at", [EVIL, '"><script>1</script>', "//evil.example", "a b", "x" * 201])
@@ -158,7 +195,7 @@ def test_what_would_change_something_must_name_its_origin(guest: TestClient) -> 
         assert guest.request(method, "/api/scenes", headers={"origin": ORIGIN}).status_code == 405, "and here nothing does"
 
 
-@pytest.mark.parametrize("cookie", [None, "guess", TOKEN], ids=["none", "guess", "token"])
+@pytest.mark.parametrize("cookie", [None, "guess", "session"])
 def test_sockets_want_the_token_and_the_origin(stranger: TestClient, cookie: str | None) -> None:
     """As the annotation page will open them."""
     people: list[Any] = []
@@ -167,14 +204,15 @@ def test_sockets_want_the_token_and_the_origin(stranger: TestClient, cookie: str
         people.append(scope["person"])
         await send({"type": "websocket.accept"})
 
-    app = guarded(behind, PORT, TOKENS)
-    kept = [(b"cookie", f"metascenes_{PORT}={cookie}".encode())] if cookie else []
+    app = guarded(behind, PORT, lambda: TOKENS)
+    shown = _session(app) if cookie == "session" else cookie
+    kept = [(b"cookie", f"metascenes_{PORT}={shown}".encode())] if cookie else []
     for origin, is_own in ((ORIGIN, True), ("http://evil.example", False), (None, False)):
         headers = [(b"host", f"127.0.0.1:{PORT}".encode()), *kept, *([(b"origin", origin.encode())] if origin else [])]
         sent = _sent(app, {"type": "websocket", "path": "/", "query_string": f"token={TOKEN}".encode(), "headers": headers})
-        is_let_in = is_own and cookie == TOKEN
+        is_let_in = is_own and cookie == "session"
         assert [message["type"] for message in sent] == ["websocket.accept" if is_let_in else "websocket.close"]
-    assert people == (["anna"] if cookie == TOKEN else [])
+    assert people == (["anna"] if cookie == "session" else [])
 
 
 def test_every_answer_forbids_what_the_page_does_not_need(guest: TestClient) -> None:
@@ -245,6 +283,13 @@ def _digest(folder: Path) -> str:
 def _status(client: TestClient, scope: dict[str, Any], headers: list[tuple[bytes, bytes]]) -> int:
     sent = _sent(client.app, {**scope, "headers": [(b"host", f"127.0.0.1:{PORT}".encode()), *headers]})
     return int(sent[0]["status"])
+
+
+def _session(app: Any, port: int = PORT) -> str:
+    """The session that an application gives to the first person for the token in the address."""
+    scope = {"type": "http", "method": "GET", "path": "/", "query_string": f"token={TOKEN}".encode()}
+    start = _sent(app, scope | {"headers": [(b"host", f"127.0.0.1:{port}".encode())]})[0]
+    return str(dict(start["headers"])[b"set-cookie"].partition(b";")[0].partition(b"=")[2].decode())
 
 
 def _sent(app: Any, scope: dict[str, Any]) -> list[MutableMapping[str, Any]]:
