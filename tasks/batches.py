@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.json_values import TooMuch, json_value
+from schemas.parsing import TooMuch, json_value
 
 
 def read_limited(file: Path, name: str, most_bytes: int) -> bytes:

@@ -12,7 +12,7 @@ from typing import Any
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.unpacking import image_pixels
 
 GLB_MAGIC = b"glTF"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from schemas.files import open_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 
 MOST_BYTES = 8 << 30
 """Of a file of weights; the largest foreign encoders have a quarter of it."""

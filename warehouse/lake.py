@@ -18,7 +18,7 @@ from typing import Any
 
 from schemas.calls import ModelCall
 from schemas.errors import InputError, RecordError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.runs import Snapshot, StageRun
 from schemas.tables import TABLES
 from warehouse.sharing.claims import Claim, Claims, claims_of, sweep_claims

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flows.commands.options import existing_lake, json_option, lake_option
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.wording import noun
 
 if TYPE_CHECKING:

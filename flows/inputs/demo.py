@@ -11,7 +11,7 @@ from flows.progress import Progress
 from flows.run.fingerprints import code_fingerprint
 from flows.run.pool import WorkerPool
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 
 MARK = "made.json"
 """Beside the scans: which code and seed made them. A demo that finds the same again keeps its scans."""

@@ -14,7 +14,7 @@ from flows.run.configuration import Configuration
 from flows.run.fingerprints import canonical_json, digest
 from flows.worker import execute
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.evaluation import check_batch
 from tasks.evaluation.batch import read_batch
 from tasks.stage import Spread

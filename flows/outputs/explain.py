@@ -18,8 +18,8 @@ from schemas.capture import Instance, Scene
 from schemas.errors import InputError
 from schemas.exports import ExportFile
 from schemas.files import read_file
-from schemas.json_values import json_value
 from schemas.lineage import Lineage, Place, RunFacts
+from schemas.parsing import json_value
 from schemas.training import LearnedModel
 from tasks.exports.format import ExportFormat
 from tasks.exports.formats import FORMATS

@@ -11,10 +11,10 @@ from typing import Any
 
 from schemas.capture import Instance
 from schemas.exports import ExportCheck, ExportFile
-from schemas.json_values import json_value
 from schemas.lineage.licenses import UNKNOWN, of_asset, scan_of, stated
 from schemas.navigation import Episode
 from schemas.optimization import Placement, Support
+from schemas.parsing import json_value
 from schemas.text import markdown_cell
 from schemas.wording import counted
 from warehouse.lake import Lake

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.files import open_file, sane_bytes, write_whole
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.tables import TABLES
 
 ROOT = Path(__file__).resolve().parents[2]

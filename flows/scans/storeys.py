@@ -15,7 +15,7 @@ from flows.run.identity import content_of
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.capture.formats import survey
 from tasks.capture.layout import STOREYS_RECORD
 from tasks.capture.scan import Scan

@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 import pyarrow as pa
 
 from flows.run.fingerprints import PICTURES, FileCache, cache_folder, code_fingerprint, digest
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.films.drives import DriveStill
 from tasks.films.walks import WalkStrip
 from tasks.stats.scenes import ScenePictures

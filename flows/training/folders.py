@@ -26,7 +26,7 @@ from flows.training.models import (
 )
 from schemas.errors import InputError
 from schemas.files import read_file, write_whole
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.runs import StageRun
 from schemas.text import markdown_cell, one_line
 from schemas.training import LearnedModel, ModelEvaluation

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from flows.view.scene import Document, Scenes
 from schemas.errors import InputError
 from schemas.files import write_whole
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.geometry.meshes import surface_of_glb
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, matrix, quaternion_wxyz
 

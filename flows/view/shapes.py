@@ -8,7 +8,7 @@ from typing import Any
 from schemas.capture import RoomSurface, Shell
 from schemas.errors import InputError
 from schemas.exports import ExportFile
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 
 
 def shell_glb(shells: Sequence[Shell], surfaces: Sequence[RoomSurface], blobs: Mapping[str, bytes]) -> bytes | None:

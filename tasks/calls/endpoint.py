@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from schemas.errors import InputError, check_address
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.calls.exchange import Exchange, NoAnswer, check_hidden, key_in
 from tasks.settings import Config, Count, NonNegative, Positive
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.text import one_line
 
 MOST_CHARACTERS = 100_000

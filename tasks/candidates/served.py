@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.calls.exchange import EndpointAway, Exchange, NoAnswer, key_in
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.generation.generated import GeneratorInput, GeneratorSettings, generated

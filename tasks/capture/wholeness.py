@@ -14,7 +14,7 @@ from pathlib import Path
 
 from schemas.errors import InputError
 from schemas.files import open_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.capture.files.documents import MAX_JSON_BYTES, MAX_TEXT_BYTES, name_of
 from tasks.capture.files.sens import MAX_SENS_BYTES, open_sens
 from tasks.capture.formats import format_of, left_out

@@ -12,7 +12,7 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.evaluation import ACTIONS
-from schemas.json_values import weigh_json
+from schemas.parsing import weigh_json
 from tasks.batches import BatchSchema, parse_json, read_limited
 from tasks.geometry.transforms import pose_from_quaternion_wxyz, to_z_up, yaw_of
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.capture.files.documents import MAX_TEXT_BYTES, name_of, read_bytes
 
 LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")

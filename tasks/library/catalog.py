@@ -11,7 +11,7 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file, stays_in
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.text import one_line
 from tasks.library.formats import FORMATS
 from tasks.library.licenses import UNKNOWN, License, license_of

@@ -20,7 +20,7 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 
 FACTS, MODEL = "facts.json", "model.glb"
 """What a child leaves in its folder."""

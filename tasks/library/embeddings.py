@@ -12,7 +12,7 @@ import numpy as np
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.selection.methods.encoders import BATCH, Images, Vectors, check_installed, clip_in, weights_digest
 
 MEAN, DEVIATION = 0.5, 0.5

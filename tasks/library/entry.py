@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset, TextureCharts
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.library.descriptors import Descriptor
 from tasks.library.fields import SurfaceField
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.json_values import json_value, weigh_json
+from schemas.parsing import json_value, weigh_json
 from tasks.captions.physics import known_name
 from tasks.library.format import Axis
 from tasks.library.licenses import UNKNOWN, License, license_of

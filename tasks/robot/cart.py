@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.geometry.transforms import pose_from_quaternion_wxyz, quaternion_wxyz
 from tasks.robot.bodies import Motors, Readings, Slip
 from tasks.robot.configuration import Cart, DriveNoise

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.furniture.dwellings import Dwelling
 from tasks.geometry.transforms import flat
 from tasks.scanner.defects import Annotated, Blindness

@@ -7,7 +7,7 @@ import io
 from collections.abc import Mapping, MutableMapping
 from typing import Any
 
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 
 KEPT = 2
 """The newest ones: should the last not be whole, the one before it is."""

@@ -13,7 +13,7 @@ import pytest
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks import containers
 from tasks.exports.glb.rules import check_glb
 from tasks.exports.urdf.rules import _poses

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from schemas.calls import ModelCall
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.text import cut
 from warehouse.lineage.walk import Walk, picked
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.record import arrow_to_rows
 from schemas.training import LearnedModel, ModelEvaluation
 from warehouse.lineage.walk import Walk, picked

@@ -7,8 +7,8 @@ from datetime import datetime
 from functools import cached_property
 from typing import Any, TypeVar
 
-from schemas.json_values import json_value
 from schemas.lineage import Edge, Lineage, Node, Place, Problem, RunFacts
+from schemas.parsing import json_value
 from schemas.record import table_of
 from schemas.runs import StageRun
 from warehouse.tables.gate import BatchState, batch_states

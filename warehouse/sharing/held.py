@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from warehouse.sharing.writer import new_token, this_writer, writer_of
 from warehouse.storage.files import Storage
 

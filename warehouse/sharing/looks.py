@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from warehouse.storage.files import Storage
 
 FOLDER = "looks"

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from schemas.errors import InputError, LakeError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from warehouse.storage.files import Entry
 from warehouse.storage.refusals import StoreAway
 from warehouse.storage.workplace import workplace

@@ -7,7 +7,7 @@ from datetime import datetime
 from typing import Any
 
 from schemas.errors import InputError, RecordError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.record import check
 from schemas.runs import Release
 from warehouse.storage.files import Storage

@@ -19,7 +19,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.tables import TABLES
 from warehouse.lake import MARKER, Lake
 from warehouse.sharing.writer import writer_of

@@ -12,7 +12,7 @@ import click
 
 from flows.commands.options import existing_lake, json_option, lake_option, seed_option, settings_options, snapshot_options
 from schemas.families.learned_systems import LEARNED_SYSTEMS
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 
 if TYPE_CHECKING:
     from flows.training.training import PlannedTraining

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from flows.run.fingerprints import code_fingerprint
 from flows.training.models import LIST, found_model, listed_models, loaded_model
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.settings import Config, adapter, nearest
 from tasks.synthesis.inference.drawer import load
 from tasks.synthesis.layout import Large, Layout

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from schemas.errors import InputError, LakeError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from warehouse.lake import DRAFT_FOLDER
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 
 MAX_TEXT_BYTES, MAX_JSON_BYTES = BUDGET.text_bytes, BUDGET.json_bytes
 

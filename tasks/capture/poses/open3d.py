@@ -17,7 +17,7 @@ from pydantic import Field
 
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.calls.command import run_apart
 from tasks.capture.reading import FrameSource
 from tasks.capture.small_objects.lifting import depth_view

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from schemas.budget import BUDGET
 from schemas.files import open_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.capture.files.documents import MAX_JSON_BYTES, name_of
 from tasks.capture.scan import Scan
 from tasks.capture.scannet.layout import scannet_layout

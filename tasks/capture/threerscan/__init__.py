@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.capture.aggregation import vertex_groups
 from tasks.capture.files.documents import integers, license_of, name_of, plain_text, read_bytes, read_json, read_text, settings
 from tasks.capture.files.frames import exported_frames

@@ -11,7 +11,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.capture.labels import NYU40
 from tasks.exports.config import HabitatConfig
 from tasks.exports.habitat.json_files import dump_json, dump_json_gz

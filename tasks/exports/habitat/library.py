@@ -12,7 +12,7 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
 from tasks.unpacking import gunzip

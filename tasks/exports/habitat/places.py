@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 
 
 def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import is_irregular, is_there, read_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.exports.findings import Finding
 from tasks.exports.nav2.grid import FREE, OCCUPIED, UNKNOWN, Raster
 from tasks.exports.nav2.map_files import GRAYS, MapSettings, image_path, raster_of, read_cells, read_settings

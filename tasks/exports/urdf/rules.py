@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import AnyPath, read_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.exports.findings import Finding
 from tasks.exports.inertias import impossible, too_large
 from tasks.exports.mesh_files import HULL_TOLERANCE_M, hollow, named_mesh

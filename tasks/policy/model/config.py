@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Self
 from pydantic import Field, model_validator
 
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.settings import LISTED, WHOLE, Config, Positive, Share, adapter, union_of
 
 # Most of each: settings come with models of others, and what is allocated follows from their word.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from schemas.evaluation import ACTIONS
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.policy.actions import UNTOLD
 from tasks.policy.model.config import OwnEyes, OwnGoal, PolicyModel
 

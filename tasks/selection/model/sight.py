@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from schemas.candidates import Asset
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.geometry.meshes import sample_surface, surface_of_glb
 from tasks.selection.model.clouds import Array, ColoredCloud, packed, spread_cloud, unpacked
 from tasks.selection.model.config import NoQuery, OwnImage, SelectionModel

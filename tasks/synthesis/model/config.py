@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.settings import WHOLE, Config, NonNegative, Share, adapter, union_of
 
 # Most of each: settings come with models of others, and what is allocated follows from their word.

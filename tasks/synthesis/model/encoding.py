@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.synthesis.layout import UNKNOWN_ROOM, Array, Large, Layout
 
 Vectors = NDArray[np.float32]

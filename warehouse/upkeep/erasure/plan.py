@@ -7,7 +7,7 @@ import json
 from datetime import datetime
 
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from warehouse.storage.files import Storage
 from warehouse.upkeep.erasure.traces import Traces
 

@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow as pa
 
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.record import BLOB_PATTERN
 from schemas.runs import Release, Snapshot
 from schemas.tables import TABLES

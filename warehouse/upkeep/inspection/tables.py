@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import pyarrow as pa
 
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.runs import Snapshot
 from schemas.tables import TABLES
 from warehouse.lake import Lake

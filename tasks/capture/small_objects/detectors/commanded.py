@@ -18,7 +18,7 @@ import numpy as np
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from schemas.text import one_line
 from tasks.calls.command import CommandFailed, filled, places_in, run_command, words_of
 from tasks.capture.small_objects.detectors.detector import WHERE, Array, Bools, Detections, DetectionSelection, selected

@@ -13,7 +13,7 @@ from bench.optimization.plain import compare, compiled_seconds, crowd_of, descen
 from tasks.geometry.boxes import aabb_overlaps
 from tasks.optimization.search.collisions import Crowd, Trace, descend, listed, room_borders, room_triangles
 from tasks.optimization.search.descent import REACH, TOUCH_M, compiled_descent
-from tests.tasks.optimization.test_collisions import collision_loss
+from tests.tasks.optimization.search.test_collisions import collision_loss
 
 seeds = st.integers(0, 10**6)
 L_SHAPE = np.array([[-2.0, -2.0], [2.0, -2.0], [2.0, 0.0], [0.0, 0.0], [0.0, 2.0], [-2.0, 2.0]])

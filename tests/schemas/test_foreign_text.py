@@ -11,7 +11,7 @@ import pytest
 from flows.run.fingerprints import FileHashes
 from flows.scans.storeys import STOREYS_RECORD, _record
 from schemas.errors import InputError
-from schemas.json_values import json_value
+from schemas.parsing import json_value
 from tasks.lineage.places import places
 from tasks.models import ModelFolder
 from tests.conftest import REPOSITORY
@@ -21,7 +21,7 @@ from warehouse.tables.released import parse_release
 
 ROOMS = ("schemas", "tasks", "warehouse", "flows")
 PLAIN_JSON = {
-    "schemas/json_values.py": "the bounded reader itself",
+    "schemas/parsing/__init__.py": "the bounded reader itself",
     "tasks/batches.py": "the schema of a batch, a file of the package",
     "tasks/kernels/ahead.py": "the list of kernels, a file of the package",
     "tasks/capture/poses/open3d_script.py": "runs without the package, on settings that the package wrote",
@@ -48,7 +48,7 @@ def readers(tree: ast.AST) -> Iterator[int]:
 def test_json_is_read_within_the_budget(room: str) -> None:
     files = {file.relative_to(REPOSITORY).as_posix(): file for file in (REPOSITORY / room).rglob("*.py")}
     found = [f"{name}:{line}" for name, file in files.items() if name not in PLAIN_JSON for line in readers(ast.parse(file.read_text()))]
-    assert not found, "use schemas.json_values.json_value or tasks.batches.parse_json, which refuse deep nesting"
+    assert not found, "use schemas.parsing.json_value or tasks.batches.parse_json, which refuse deep nesting"
 
 
 @pytest.mark.parametrize("text", [DEEP, b'{"a":' * 100_000 + b"1" + b"}" * 100_000, b"[" * 300 + b"]" * 300, b"[" * 100_000])
