@@ -37,11 +37,12 @@ def temporary_folder() -> Iterator[Path]:
 
 def temporary_folders() -> list[Path]:
     """All temporary folders of the project that belong to this user, sorted, their owners alive or dead."""
-    root = Path(tempfile.gettempdir())
-    found = []
-    with contextlib.suppress(FileNotFoundError), os.scandir(root) as entries:
-        found = [root / entry.name for entry in entries if _NAME.fullmatch(entry.name)]
-    return sorted(path for path in found if _is_own_folder(path))
+    try:
+        root = Path(tempfile.gettempdir())
+        names = os.listdir(root)
+    except OSError:  # commands that need no temporary folder go without one
+        return []
+    return sorted(root / name for name in names if _NAME.fullmatch(name) and _is_own_folder(root / name))
 
 
 def abandoned_folders() -> list[Path]:

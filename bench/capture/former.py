@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.environment import child_environment
+
 Array = NDArray[np.float64]
 
 COMMIT = "9a5dbc58"

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from bench.engines.scenes import SceneFiles
 from bench.engines.setups import RUNS, SECONDS, Setup
 from bench.gravity import instance_of
+from tasks.calls.command import run_apart
 from tasks.geometry.transforms import pose_from_quaternion_wxyz
 from tasks.optimization.engines.mujoco_engine import mujoco_module
 
