@@ -8,12 +8,13 @@ import re
 import socket
 import urllib.parse
 
-LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1", "[::1]")
-"""Hosts for `no_proxy`. Libraries differ in the spelling of IPv6 that they look for."""
+LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
+"""Hosts for `no_proxy`. In brackets, IPv6 would be an error to Prefect's client."""
 
 ADDRESS_VARIABLES = ("PREFECT_API_URL", "AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3")
 """Variables that may name a server of this machine in a spelling of its own."""
 
+_LISTED = re.compile(r"[\w.:-]+")
 _NUMBERS = re.compile(r"[0-9a-fx.]+")
 
 
@@ -44,7 +45,7 @@ def bypass_proxies() -> None:
     hosts = list(LOOPBACK_NAMES)
     for variable in ADDRESS_VARIABLES:
         host = host_of(os.environ.get(variable, ""))
-        if host and is_this_machine(host) and host not in hosts:
+        if _LISTED.fullmatch(host) and is_this_machine(host) and host not in hosts:
             hosts.append(host)
     # Libraries look at one spelling or the other.
     present = {name: os.environ[name] for name in ("no_proxy", "NO_PROXY") if name in os.environ}
