@@ -124,7 +124,7 @@ def _attacked(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_listed_variables_alone_arrive(child: str, tmp_path: Path) -> None:
     start, more = CHILDREN[child]
     program, told = tmp_path / "program", tmp_path / "told"
-    program.write_text(f"#!/bin/sh\nexec cat /proc/$$/environ > '{told}'\n")
+    program.write_text(f"#!/bin/sh\ncat < /proc/$$/environ > '{told}'\nexit 1\n")
     program.chmod(0o755)
     with contextlib.suppress(InputError, CommandFailed):
         start(program)

@@ -60,20 +60,15 @@ def proxy(monkeypatch: pytest.MonkeyPatch) -> Iterator[RecordingProxy]:
     recording.close()
 
 
-@pytest.mark.parametrize(
-    "host", ["127.0.0.1", "localhost", "LOCALHOST", "127.1", "0x7f.1", "2130706433", "%6cocalhost", "[::ffff:127.0.0.1]"]
-)
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "LOCALHOST", "127.1", "0x7f.1", "2130706433", "%6cocalhost"])
 def test_the_key_of_an_endpoint_of_this_machine_meets_no_proxy(server: Server, proxy: RecordingProxy, host: str) -> None:
     server.answers = [says("here")]
     endpoint = Endpoint(server.url.replace("127.0.0.1", host), "seer", "secret-key", attempts=1)
-    try:
-        assert endpoint.ask([], {}).text == "here"
-    except EndpointAway as error:  # a machine without IPv6, or a resolver that does not take the spelling
-        assert "Recorded" not in str(error)
+    assert endpoint.ask([], {}).text == "here"
     assert proxy.requests == []
 
 
-@pytest.mark.parametrize("host", ["localhost.", "0.0.0.0", "a.localhost", "[::1]", "[::]", "127.0.0.1."])
+@pytest.mark.parametrize("host", ["localhost.", "0.0.0.0", "a.localhost", "[::1]", "[::]", "[::ffff:127.0.0.1]"])
 def test_what_goes_to_this_machine_without_a_key_meets_no_proxy(server: Server, proxy: RecordingProxy, host: str) -> None:
     server.answers = [says("here")]
     with contextlib.suppress(EndpointAway):
