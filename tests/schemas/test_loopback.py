@@ -57,8 +57,8 @@ def test_loopback_goes_past_proxies(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("no_proxy", "NO_PROXY"):
         assert os.environ[name].split(",") == ["intern.example", "10.0.0.4", "localhost", "127.0.0.1", "::1", "127.1"]
     for host in ("localhost:8000", "127.0.0.1:8000", "127.1:4200", "10.0.0.4", "a.intern.example"):
-        assert urllib.request.proxy_bypass_environment(host), host
-    assert not urllib.request.proxy_bypass_environment("store.example")
+        assert urllib.request.proxy_bypass(host), host
+    assert not urllib.request.proxy_bypass("store.example")
 
 
 @pytest.mark.usefixtures("_no_exceptions")
