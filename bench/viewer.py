@@ -25,8 +25,8 @@ from bench.samples import fingerprint, sample, stage_run
 from bench.tables import add_row, goals_table, headline, table_of
 from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance, Scene, Shell
-from schemas.environment import child_environment
 from schemas.errors import InputError
+from schemas.machine.environment import child_environment
 from schemas.optimization import Placement
 from schemas.selection import Selection
 from tasks.candidates.assets import make_asset

@@ -125,8 +125,8 @@ def main() -> None:
 
 def _main() -> None:
     from schemas.errors import LakeError
-    from schemas.loopback import bypass_proxies
-    from schemas.scratch import sweep_temporary_folders
+    from schemas.machine.loopback import bypass_proxies
+    from schemas.machine.scratch import sweep_temporary_folders
     from schemas.text import one_line
 
     bypass_proxies()

@@ -324,7 +324,7 @@ OWN = {
     "warehouse/release/tables.py": "the release that is written",
     "warehouse/storage/files.py": "the lake",
     "warehouse/storage/locks.py": "the lake",
-    "schemas/processes.py": "/proc, and the name of the host",
+    "schemas/machine/processes.py": "/proc, and the name of the host",
 }
 """Modules that open files by themselves, and which: never what people hand in. That goes through `schemas.files`."""
 

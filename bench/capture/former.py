@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.environment import child_environment
+from schemas.machine.environment import child_environment
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from schemas.environment import child_environment
 from schemas.errors import InputError
+from schemas.machine.environment import child_environment
 
 SECONDS = 2.0
 """Simulated time [s], that of certificates."""

@@ -21,8 +21,8 @@ from typing import IO
 from bench.flows.runs import surroundings
 from flows.server.access import CLIENT_TOKEN, SERVER_TOKEN, new_token
 from flows.server.process import QUIET, is_healthy
-from schemas.environment import child_environment
 from schemas.errors import InputError, LakeError
+from schemas.machine.environment import child_environment
 
 START_SECONDS = 120
 """The first start of a Prefect server migrates an empty database: 10 s on two idle cores, much more on busy ones."""

@@ -14,8 +14,8 @@ from typing import Any
 from bench.kills.death import forked, tells_of_full_disk
 from bench.kills.operations import perform, story
 from bench.kills.stories import KillBatch, seen, verdict
-from schemas.environment import child_environment
 from schemas.errors import InputError
+from schemas.machine.environment import child_environment
 
 DISK_BYTES = 64_000_000
 

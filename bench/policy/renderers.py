@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from schemas.environment import child_environment
 from schemas.errors import InputError
+from schemas.machine.environment import child_environment
 from tasks import exports
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from schemas.errors import InputError
 from schemas.exports import ExportCheck, ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.lineage.licenses import OF_THE_SCAN
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from schemas.wording import meant
 from warehouse.lake import Lake
 from warehouse.release import snapshot_of

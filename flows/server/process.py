@@ -35,7 +35,7 @@ from flows.server.access import (
     take_token,
 )
 from schemas.errors import InputError, LakeError
-from schemas.loopback import bypass_proxies
+from schemas.machine.loopback import bypass_proxies
 
 START_SECONDS = 120
 """First start on a machine migrates an empty database: 10 s on two idle cores, much more on busy ones."""

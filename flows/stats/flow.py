@@ -18,7 +18,7 @@ from flows.run.parameters import Address
 from flows.server.artifacts import Ticker, link_of, public_address, short_name
 from flows.stats.report import Written, write_report
 from schemas.errors import InputError
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from schemas.wording import counted
 from tasks.stats.columns import GRIDS
 from tasks.stats.grids import Grid, grid

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from email.message import Message
 from typing import Any
 
-from schemas.loopback import host_of, is_this_machine
+from schemas.machine.loopback import host_of, is_this_machine
 
 SHOWN_BYTES = 400
 """Bytes of a refusal's text that are read: more is not shown."""

@@ -15,8 +15,8 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from schemas.environment import child_environment
 from schemas.errors import InputError
+from schemas.machine.environment import child_environment
 from schemas.text import cut, one_line
 from tasks.calls.guard import NOT_STARTED, NOT_STARTED_LINE
 

@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from schemas.errors import InputError, check_address
-from schemas.loopback import is_loopback
+from schemas.machine.loopback import is_loopback
 from schemas.text import HIDDEN, cut
 from tasks.calls.attempt import Attempt, Refusal
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from tasks.calls.command import CommandFailed, filled, run_command, words_of
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.generation.generated import GeneratorInput, GeneratorSettings, generated

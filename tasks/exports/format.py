@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from schemas.files import AnyPath, HeldPath
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from tasks.exports.files import Export, File, write_folder
 from tasks.exports.findings import Finding
 from tasks.families import part

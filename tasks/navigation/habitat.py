@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.errors import InputError
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from tasks.navigation.detour import ON_MESH_M, DetourPathFinder, from_above, space
 from tasks.navigation.navmesh import Settings, dump_navmesh
 from tasks.navigation.points import rows

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file, stays_in, write_whole
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from tasks.calls.command import filled, places_in, run_apart
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import Surface, load_glb, material_of, sample_surface, surface_of

@@ -20,7 +20,7 @@ from pydantic import Field
 
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from tasks.calls.command import run_apart
 from tasks.geometry.triangles import distinct_rows, face_areas, welded
 from tasks.settings import Config, Count, Natural, Positive, Share

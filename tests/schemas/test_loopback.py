@@ -7,7 +7,7 @@ import urllib.request
 
 import pytest
 
-from schemas.loopback import bypass_proxies, is_loopback, is_this_machine
+from schemas.machine.loopback import bypass_proxies, is_loopback, is_this_machine
 
 LOOPBACK = (
     "localhost", "LOCALHOST", "LocalHost", "%6cocalhost", "127.0.0.1", "127.8.9.1", "127.1", "0x7f.1", "0x7f000001",

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from schemas import scratch
-from schemas.processes import boot_name, host_name, short_hash, start_of
-from schemas.scratch import abandoned_folders, sweep_temporary_folders, temporary_folder, temporary_folders
+from schemas.machine import scratch
+from schemas.machine.processes import boot_name, host_name, short_hash, start_of
+from schemas.machine.scratch import abandoned_folders, sweep_temporary_folders, temporary_folder, temporary_folders
 from tests.conftest import REPOSITORY
 
 HOLDER = """
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 with temporary_folder() as folder:
     (folder / "below").mkdir()
     (folder / "below" / "scan.ply").write_text("private")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from schemas.errors import InputError
 from schemas.files import open_file
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from schemas.text import one_line
 from warehouse.questions.catalog import entries
 from warehouse.questions.quoting import literal, quoted

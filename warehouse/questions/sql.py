@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from schemas.errors import InputError
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from schemas.text import one_line
 from warehouse.questions.macros import table_macros
 from warehouse.questions.quoting import quoted

@@ -12,7 +12,7 @@ import os
 import re
 import threading
 
-from schemas.processes import machine_name, start_of
+from schemas.machine.processes import machine_name, start_of
 
 # Tests give a process the name of another machine.
 _machine, _process_start = machine_name, start_of

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from schemas.errors import InputError, LakeError
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from warehouse.storage.files import Entry
 from warehouse.storage.refusals import StoreAway
 

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from schemas.tables import TABLES
 from warehouse.questions.quoting import literal, parquet_files, quoted
 from warehouse.storage.blobs import FOLDER

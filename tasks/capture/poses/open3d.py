@@ -16,7 +16,7 @@ from pydantic import Field
 
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from tasks.calls.command import run_apart
 from tasks.capture.reading import FrameSource
 from tasks.capture.small_objects.lifting import depth_view

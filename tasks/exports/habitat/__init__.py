@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from schemas.machine.scratch import temporary_folder
 from schemas.navigation import Episode, Navmesh
-from schemas.scratch import temporary_folder
 from tasks.exports.bodies import Body, Replica, digest, identifier, stem
 from tasks.exports.config import ExportsConfig, HabitatConfig
 from tasks.exports.files import Export, File, write_folder

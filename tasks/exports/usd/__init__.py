@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
 from tasks.exports.files import Export, files_below

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from tasks.calls.command import run_apart
 from tasks.geometry.transforms import pose_from_quaternion_wxyz, quaternion_xyzw
 from tasks.optimization.engines.mujoco_engine import Simulation, Timestep, unfit

@@ -16,8 +16,8 @@ import trimesh
 
 from bench.engines.setups import FOREIGN, _interpreter
 from bench.policy import renderers
-from schemas.environment import KEPT_VARIABLES, child_environment
 from schemas.errors import InputError
+from schemas.machine.environment import KEPT_VARIABLES, child_environment
 from tasks.calls.command import CommandFailed, run_apart, run_command
 from tasks.candidates.commanded import Commanded, made
 from tasks.candidates.generation.generated import GeneratorInput

@@ -13,7 +13,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from warehouse.questions.quoting import quoted
 from warehouse.storage.files import Storage
 from warehouse.upkeep.erasure.traces import Traces

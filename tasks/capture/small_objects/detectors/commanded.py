@@ -16,7 +16,7 @@ import numpy as np
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.scratch import temporary_folder
+from schemas.machine.scratch import temporary_folder
 from schemas.text import one_line
 from tasks.calls.command import CommandFailed, filled, places_in, run_command, words_of
 from tasks.capture.small_objects.detectors.detector import WHERE, Array, Bools, Detections, DetectionSelection, selected

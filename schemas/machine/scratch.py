@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from schemas.processes import boot_name, host_name, short_hash, start_of
+from schemas.machine.processes import boot_name, host_name, short_hash, start_of
 
 UNKNOWN_START = "0"
 """Start of a process that the system does not tell."""
