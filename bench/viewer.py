@@ -26,6 +26,7 @@ from bench.tables import add_row, goals_table, headline, table_of
 from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
+from schemas.machine.environment import child_environment
 from schemas.optimization import Placement
 from schemas.selection import Selection
 from tasks.candidates.assets import make_asset
@@ -179,7 +180,7 @@ def browser_without_gpu() -> Iterator[Browser]:
     if path is None:
         raise InputError("metascenes bench view", "chromium", "is not on this machine", "apt-get install chromium")
     with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=path, args=list(FLAGS))
+        started = playwright.chromium.launch(executable_path=path, args=list(FLAGS), env=dict(child_environment()))
         yield started
         started.close()
 

@@ -125,8 +125,12 @@ def main() -> None:
 
 def _main() -> None:
     from schemas.errors import LakeError
+    from schemas.machine.loopback import bypass_proxies
+    from schemas.machine.scratch import sweep_temporary_folders
     from schemas.text import one_line
 
+    bypass_proxies()
+    sweep_temporary_folders()
     try:
         code = cli(standalone_mode=False)  # click hands back the code of an Exit instead of raising it
         sys.stdout.flush()

@@ -305,6 +305,7 @@ OWN = {
     "flows/view/annotating/drafts.py": "drafts of this server, in a file of ours",
     "flows/view/bundle.py": "the client of the package",
     "tasks/batches.py": "the schema of the package",
+    "tasks/calls/guard.py": "/proc",
     "tasks/captions/physics.py": "tables of the package",
     "tasks/capture/instances/naming.py": "a table of the package",
     "tasks/capture/poses/open3d.py": "what a child process of ours reads",
@@ -323,7 +324,7 @@ OWN = {
     "warehouse/release/tables.py": "the release that is written",
     "warehouse/storage/files.py": "the lake",
     "warehouse/storage/locks.py": "the lake",
-    "warehouse/sharing/writer.py": "/proc",
+    "schemas/machine/processes.py": "/proc, and the name of the host",
 }
 """Modules that open files by themselves, and which: never what people hand in. That goes through `schemas.files`."""
 

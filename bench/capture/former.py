@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.machine.environment import child_environment
+
 Array = NDArray[np.float64]
 
 COMMIT = "9a5dbc58"
@@ -42,7 +44,10 @@ class FormerScan:
 def has_former() -> bool:
     """Whether the former code is in the repository's history here; a copy without history, or a shallow one, lacks it."""
     done = subprocess.run(
-        ["git", "-C", str(Path(__file__).parents[2]), "cat-file", "-e", f"{COMMIT}^{{commit}}"], capture_output=True, check=False
+        ["git", "-C", str(Path(__file__).parents[2]), "cat-file", "-e", f"{COMMIT}^{{commit}}"],
+        env=child_environment(),
+        capture_output=True,
+        check=False,
     )
     return done.returncode == 0
 
@@ -56,7 +61,10 @@ def former_scans(scans: Sequence[Path], workspace: Path) -> list[FormerScan]:
     code = workspace / "code"
     code.mkdir(parents=True)
     archive = subprocess.run(
-        ["git", "-C", str(Path(__file__).parents[2]), "archive", COMMIT, "schemas", "tasks"], capture_output=True, check=True
+        ["git", "-C", str(Path(__file__).parents[2]), "archive", COMMIT, "schemas", "tasks"],
+        env=child_environment(),
+        capture_output=True,
+        check=True,
     )
     with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as files:
         files.extractall(code, filter="data")

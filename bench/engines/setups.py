@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.errors import InputError
+from schemas.machine.environment import child_environment
 
 SECONDS = 2.0
 """Simulated time [s], that of certificates."""
@@ -109,7 +110,7 @@ def _interpreter(engine: Engine, python: str) -> Path:
         raise InputError(python, f"--engine {engine.name}", "is no program that can be run", remedy)
     command = [os.path.abspath(path), "-I", "-c", f"import importlib.metadata as m; m.version({engine.package!r})"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, env=child_environment(), capture_output=True, text=True, check=False)
     except OSError as error:
         raise InputError(python, f"--engine {engine.name}", f"cannot be run: {error.strerror}", remedy) from error
     if done.returncode != 0:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import subprocess
 import tempfile
 import time
 from collections.abc import Mapping
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from bench.engines.scenes import SceneFiles
 from bench.engines.setups import RUNS, SECONDS, Setup
 from bench.gravity import instance_of
+from tasks.calls.command import run_apart
 from tasks.geometry.transforms import pose_from_quaternion_wxyz
 from tasks.optimization.engines.mujoco_engine import mujoco_module
 
@@ -154,13 +154,10 @@ def _in_interpreter(scene: SceneFiles, setup: Setup, python: Path) -> Ends:
         source.write_text(json.dumps(request))
         command = [str(python), "-I", str(Path(__file__).with_name(setup.engine.script)), str(source), str(target)]
         try:
-            done = subprocess.run(command, cwd=place, capture_output=True, text=True, errors="replace", timeout=TIMEOUT_S, check=False)
-        except OSError as error:
-            raise EngineError(f"{python} cannot be run: {error.strerror}") from error
-        except subprocess.TimeoutExpired as error:
-            raise EngineError(f"took longer than {TIMEOUT_S:g} s") from error
-        if done.returncode != 0 or not target.exists():
-            last = (done.stderr.strip() or "it left no result").splitlines()[-1]
-            raise EngineError(f"ended with code {done.returncode}: {last}")
+            ending = run_apart(command, Path(place), TIMEOUT_S)
+        except (OSError, ValueError) as error:
+            raise EngineError(f"{python} cannot be run: {getattr(error, 'strerror', None) or error}") from error
+        if ending.problem or not target.exists():
+            raise EngineError(ending.problem or "ended well, but it left no result")
         result = json.loads(target.read_text())
         return Ends(result["version"], result["starts"], tuple(result["ends"]))

@@ -22,6 +22,7 @@ from bench.flows.runs import surroundings
 from flows.server.access import CLIENT_TOKEN, SERVER_TOKEN, new_token
 from flows.server.process import QUIET, is_healthy
 from schemas.errors import InputError, LakeError
+from schemas.machine.environment import child_environment
 
 START_SECONDS = 120
 """The first start of a Prefect server migrates an empty database: 10 s on two idle cores, much more on busy ones."""
@@ -95,7 +96,7 @@ class Database(Process):
                 shutil.chown(path, "postgres", "postgres")
         made = [str(self._programs / "initdb"), "-D", str(self.home / "data"), "-U", _ROLE, "-A", "scram-sha-256", f"--pwfile={file}",
                 "-E", "UTF8", "--locale=C.UTF-8", "--no-sync"]  # fmt: skip
-        done = subprocess.run([*_owner(), *made], cwd="/", capture_output=True, text=True, check=False)
+        done = subprocess.run([*_owner(), *made], cwd="/", env=child_environment(), capture_output=True, text=True, check=False)
         if done.returncode:
             raise LakeError(f"initdb: {done.stderr.strip()[-500:]}")
         self.url = f"postgresql+asyncpg://{_ROLE}:{password}@127.0.0.1:{self.port}/postgres"
@@ -103,13 +104,13 @@ class Database(Process):
     def answers(self) -> bool:
         """Whether it takes queries: after a kill it recovers first."""
         ready = [str(self._programs / "pg_isready"), "-q", "-h", "127.0.0.1", "-p", str(self.port)]
-        return subprocess.run(ready, check=False).returncode == 0
+        return subprocess.run(ready, env=child_environment(), check=False).returncode == 0
 
     def _started(self, log: IO[bytes]) -> subprocess.Popen[bytes]:
         settings = {"listen_addresses": "127.0.0.1", "port": self.port, "unix_socket_directories": "", "max_connections": 200}
         given = [part for name, value in settings.items() for part in ("-c", f"{name}={value}")]
         command = [*_owner(), str(self._programs / "postgres"), "-D", str(self.home / "data"), *given]
-        return subprocess.Popen(command, cwd="/", stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        return subprocess.Popen(command, cwd="/", env=child_environment(), stdin=subprocess.DEVNULL, stdout=log, stderr=log)
 
 
 class Server(Process):

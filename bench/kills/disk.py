@@ -15,6 +15,7 @@ from bench.kills.death import forked, tells_of_full_disk
 from bench.kills.operations import perform, story
 from bench.kills.stories import KillBatch, seen, verdict
 from schemas.errors import InputError
+from schemas.machine.environment import child_environment
 
 DISK_BYTES = 64_000_000
 
@@ -89,7 +90,7 @@ def mounted(place: Path, size: int) -> Iterator[Path]:
     place.mkdir(parents=True, exist_ok=True)
     mount = shutil.which("mount")
     command = [mount or "mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(place)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False) if mount else None
+    done = subprocess.run(command, env=child_environment(), capture_output=True, text=True, check=False) if mount else None
     if done is None or done.returncode:
         why = " ".join((done.stderr if done else "there is no mount").split())
         raise InputError(str(place), "", f"no small file system can be mounted ({why})", "run it as root, or leave out the kind `disk`")
@@ -107,4 +108,4 @@ def let_go(folder: Path) -> None:
 
 
 def _unmount(place: Path) -> None:
-    subprocess.run(["umount", "-l", str(place)], capture_output=True, check=False)
+    subprocess.run(["umount", "-l", str(place)], env=child_environment(), capture_output=True, check=False)

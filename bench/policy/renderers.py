@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from schemas.errors import InputError
+from schemas.machine.environment import child_environment
 from tasks import exports
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def _drawn(python: str, script: Path, variable: str, file: Path, wanted: RenderR
     for library in LIBRARIES:
         settings: Mapping[str, str] = {variable: library, "LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "0"}
         command = [python, "-I", str(script)]
-        done = subprocess.run(command, input=request, capture_output=True, text=True, check=False, env=os.environ | settings)
+        done = subprocess.run(command, input=request, capture_output=True, text=True, check=False, env=child_environment() | settings)
         if done.returncode == 0:
             answer: dict[str, Any] = json.loads(done.stdout)
             return answer

@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -19,6 +18,7 @@ from schemas.errors import InputError
 from schemas.exports import ExportCheck, ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.lineage.licenses import OF_THE_SCAN
+from schemas.machine.scratch import temporary_folder
 from schemas.wording import meant
 from warehouse.lake import Lake
 from warehouse.release import snapshot_of
@@ -206,9 +206,9 @@ def _shipped(lake: Lake, reader: Reader, chosen: Chosen, allowed: Allowed | None
     if not again:
         yield _Goods(rows, lake.blobs, sent, pages, _incomplete(lacking, chosen.formats))
         return
-    with tempfile.TemporaryDirectory(prefix="metascenes-") as place, Progress("scenes made again", len(again)) as progress:
-        made, checks = remake_scenes(lake, reader, again, chosen.formats, Path(place), workers, progress.advance)
-        blobs = _Blobs(Path(place), lake.blobs)
+    with temporary_folder() as place, Progress("scenes made again", len(again)) as progress:
+        made, checks = remake_scenes(lake, reader, again, chosen.formats, place, workers, progress.advance)
+        blobs = _Blobs(place, lake.blobs)
         yield _Goods([*rows, *made], blobs, sent, pages, _incomplete([*lacking, *checks], chosen.formats))
 
 

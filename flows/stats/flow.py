@@ -7,7 +7,6 @@ from __future__ import annotations
 import base64
 import io
 import itertools
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from flows.run.parameters import Address
 from flows.server.artifacts import Ticker, link_of, public_address, short_name
 from flows.stats.report import Written, write_report
 from schemas.errors import InputError
+from schemas.machine.scratch import temporary_folder
 from schemas.text import page_text
 from schemas.wording import counted
 from tasks.stats.columns import GRIDS
@@ -82,10 +82,10 @@ def statistics(
         total = count
 
     try:
-        with tempfile.TemporaryDirectory(prefix="metascenes-") as making:
+        with temporary_folder() as making:
             is_local = "://" not in place
             written = write_report(
-                store, Path(place) if is_local else Path(making) / "report.html", chosen,
+                store, Path(place) if is_local else making / "report.html", chosen,
                 pictures=Path(pictures) if pictures else None, rasters=True, workers=workers,
                 advance=lambda name: ticker.advance(next(done), total, name), expect=expect,
             )  # fmt: skip

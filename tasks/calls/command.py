@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import errno
 import os
 import re
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -18,27 +16,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from schemas.errors import InputError
+from schemas.machine.environment import child_environment
 from schemas.text import cut, one_line
+from tasks.calls.guard import NOT_STARTED, NOT_STARTED_LINE
 
 _LAST_BYTES = 4096
 """Of what a program wrote to its standard error, the end is looked at: that is where it says what went wrong."""
 
 
-SECRETS = ("KEY", "TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
-"""Variables of the environment whose names hold one of these are not given to programs of others."""
-
-
-GUARD = """
-import ctypes, os, signal, sys
-try:
-    ctypes.CDLL(None).prctl(1, int(signal.SIGKILL))  # PR_SET_PDEATHSIG, which stays through exec
-except (AttributeError, OSError):
-    pass
-if os.getppid() != int(sys.argv[1]):
-    os._exit(1)
-os.execvp(sys.argv[2], sys.argv[2:])
-"""
-"""What becomes the program, once the system knows to end it with the process that wanted it: a worker may be killed at any moment."""
+GUARD = Path(__file__).with_name("guard.py")
+"""Program between this process and the foreign one: a worker may be killed at any moment."""
 
 
 PLACE = re.compile(r"\{(\w*)\}")
@@ -51,8 +38,18 @@ def places_in(words: Sequence[str]) -> set[str]:
 
 
 def filled(words: Sequence[str], values: Mapping[str, str]) -> list[str]:
-    """Words with values in the place of names in braces; a value is never read again, so that braces in it mean nothing."""
-    return [PLACE.sub(lambda match: values[match[1]], word) for word in words]
+    """Fill values into words, in the place of names in braces.
+
+    A value is never read again, so that braces in it mean nothing. A word that begins with a value is not an option:
+    it gets a space before a `-`, at which parsers of command lines stop looking.
+    """
+    return [_as_value(word, PLACE.sub(lambda match: values[match[1]], word)) for word in words]
+
+
+def _as_value(word: str, text: str) -> str:
+    """The text of a filled word, with a space before it if a value made it look like an option."""
+    is_option = text.startswith("-") and not word.startswith("-")
+    return f" {text}" if is_option else text
 
 
 def words_of(command: str, places: Sequence[str], where: str) -> list[str]:
@@ -78,20 +75,16 @@ class CommandFailed(Exception):
     """A program did not do its work. The text says why, in one line."""
 
 
-def open_environment() -> dict[str, str]:
-    """The variables of the environment that programs of others are given."""
-    return {name: value for name, value in os.environ.items() if not any(word in name.upper() for word in SECRETS)}
-
-
 @dataclasses.dataclass(frozen=True)
 class Ending:
     """How a program ended. code: its exit code, None where its time was up. last: the last line of its standard error, '' for none.
-    limit_s: How long it might have taken [s]."""
+    limit_s: How long it might have taken [s]. said: end of its standard error."""
 
     code: int | None
     last: str
     seconds: float
     limit_s: float
+    said: str = ""
 
     @property
     def problem(self) -> str:
@@ -104,10 +97,16 @@ class Ending:
         return f"{how}: {self.last or 'it did not say why'}"
 
 
-def run_apart(command: Sequence[str], folder: Path, timeout_s: float) -> Ending:
-    """Run a program in a folder until it ends, or for so many seconds. It reads nothing, and what it prints is dropped.
+def run_apart(command: Sequence[str], folder: Path, timeout_s: float, more: Mapping[str, str] | None = None) -> Ending:
+    """Run a program in a folder until it ends, or for so many seconds. It reads nothing, and its output is dropped.
 
-    It and all that it started, as far as they stayed in its process group, are gone afterwards.
+    It and all that it started are gone afterwards, and also if this process is killed meanwhile.
+
+    Args:
+        command: program and its words; no shell reads them.
+        folder: working folder of the program.
+        timeout_s: time after which the program is ended [s].
+        more: environment variables in addition to `KEPT_VARIABLES`.
 
     Raises:
         OSError, ValueError: it cannot be started.
@@ -115,23 +114,31 @@ def run_apart(command: Sequence[str], folder: Path, timeout_s: float) -> Ending:
     clock = time.monotonic()
     if shutil.which(command[0]) is None:
         raise FileNotFoundError(errno.ENOENT, "there is no such program", command[0])
-    guarded = [sys.executable, "-c", GUARD, str(os.getpid()), *command]
-    with tempfile.TemporaryFile() as errors:
-        child = subprocess.Popen(
-            guarded, cwd=folder, env=open_environment(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
-            start_new_session=True,
-        )  # fmt: skip
+    theirs, ours = os.pipe()
+    with os.fdopen(ours, "wb", buffering=0) as lifeline, tempfile.TemporaryFile() as errors:
+        guarded = [sys.executable, "-I", "-S", str(GUARD), str(theirs), *command]
         try:
-            code: int | None = child.wait(timeout_s)
+            guard = subprocess.Popen(
+                guarded, cwd=folder, env=child_environment() | dict(more or {}), pass_fds=[theirs],
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True,
+            )  # fmt: skip
+        finally:
+            os.close(theirs)
+        try:
+            code: int | None = guard.wait(timeout_s)
         except subprocess.TimeoutExpired:
             code = None
         finally:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(child.pid, signal.SIGKILL)
-            child.wait()
+            # Without the other end of its pipe, the guard ends all that is left.
+            lifeline.close()
+            guard.wait()
         errors.seek(max(errors.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
-        lines = errors.read().decode(errors="replace").strip().splitlines()
-    return Ending(code, cut(one_line(lines[-1])) if lines else "", time.monotonic() - clock, timeout_s)
+        said = errors.read().decode(errors="replace").strip()
+    if code == NOT_STARTED and said.startswith(NOT_STARTED_LINE):
+        number = int(said.removeprefix(NOT_STARTED_LINE))
+        raise OSError(number, os.strerror(number), command[0])
+    last = cut(one_line(said.splitlines()[-1])) if said else ""
+    return Ending(code, last, time.monotonic() - clock, timeout_s, said)
 
 
 def run_command(command: Sequence[str], folder: Path, timeout_s: float) -> None:

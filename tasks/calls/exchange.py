@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import http.client
-import ipaddress
 import os
 import re
 import time
-import urllib.error
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Collection
+from functools import partial
 from typing import Any, TypeVar
 
 from schemas.errors import InputError, check_address
+from schemas.machine.loopback import is_loopback
 from schemas.text import HIDDEN, cut
+from tasks.calls.attempt import Attempt, Refusal
 
 T = TypeVar("T")
 
@@ -85,16 +86,16 @@ class Exchange:
             begun()
             try:
                 give_up = self.clock() + self.timeout_seconds
-                with _OPENER.open(request, timeout=self.timeout_seconds) as reply:
-                    return read(self._whole(reply, give_up))
-            except urllib.error.HTTPError as error:
-                message = self._shown(_said(error))
-                if error.code in unknown:
+                return read(Attempt(request, partial(self._whole, give_up=give_up), self.timeout_seconds).answer())
+            except Refusal as refusal:
+                if refusal.code in unknown:
                     return None
-                problem = f"HTTP {error.code}: {message}"
-                if error.code not in TRIED_AGAIN:
+                problem = f"HTTP {refusal.code}: {self._shown(refusal.text)}"
+                if refusal.code not in TRIED_AGAIN:
                     raise InputError(self.url, self.what, problem, f"see url, key and what else {self.where} says") from None
-                self._wait_as_told(error.headers.get("Retry-After"), attempt)
+                self._wait_as_told(refusal.headers.get("Retry-After"), attempt)
+            except TimeoutError as error:
+                problem = f"{error} after {self.timeout_seconds:g} s"
             except (OSError, ValueError, http.client.HTTPException) as error:
                 problem = self._shown(str(getattr(error, "reason", error)))
         raise EndpointAway(f"{self.url}: no answer after {self.attempts} tries: {problem}")
@@ -111,7 +112,7 @@ class Exchange:
         while len(data) <= self.most_bytes and (part := reply.read1(PART_BYTES)):
             data += part
             if self.clock() > give_up:
-                raise TimeoutError(f"still sending after {self.timeout_seconds:g} s")
+                raise TimeoutError
         if len(data) > self.most_bytes:
             raise NoAnswer(f"more than {self.most_bytes} bytes came back")
         if reply.length:  # of a read with a bound, http.client does not say that it was cut off
@@ -129,15 +130,6 @@ class Exchange:
             self.sleep(min(float(seconds), LONGEST_PAUSE_SECONDS))
 
 
-def _said(error: urllib.error.HTTPError) -> str:
-    """How the text of a refusal begins, as far as it arrives: its state says all that is needed."""
-    try:
-        part: bytes = error.fp.read1(400)  # type: ignore[attr-defined]  # what is there: the rest may drip for ever
-        return part.decode(errors="replace")
-    except (OSError, ValueError, AttributeError, http.client.HTTPException):
-        return ""
-
-
 def check_hidden(url: str, where: str) -> None:
     """Refuse an address to which a key would go in the clear: http, but for this machine.
 
@@ -149,16 +141,8 @@ def check_hidden(url: str, where: str) -> None:
         scheme, host = parts.scheme, parts.hostname or ""
     except ValueError:
         raise InputError(f"{where}.url", "", "is no address", "give that of an OpenAI-compatible endpoint: https://.../v1") from None
-    if scheme != "https" and not _is_here(host):
+    if scheme != "https" and not is_loopback(host):
         raise InputError(f"{where}.url", "", f"a key would go to {cut(host)} in the clear", "give an https:// address")
-
-
-def _is_here(host: str) -> bool:
-    """Whether a host is this machine: localhost, 127.0.0.0/8, ::1."""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def key_in(variable: str, where: str) -> str:
@@ -173,14 +157,3 @@ def key_in(variable: str, where: str) -> str:
     if not key or not key.isascii() or not key.isprintable():
         raise InputError(where, "key_variable", f"{variable} holds no key", "set it where the workers run")
     return key
-
-
-class _NoRedirects(urllib.request.HTTPRedirectHandler):
-    """A redirect would take the key along."""
-
-    def redirect_request(self, *arguments: Any, **more: Any) -> None:
-        """Follow none: the answer is an error of its own."""
-        return None
-
-
-_OPENER = urllib.request.build_opener(_NoRedirects)

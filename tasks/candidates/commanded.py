@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.machine.scratch import temporary_folder
 from tasks.calls.command import CommandFailed, filled, run_command, words_of
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.generation.generated import GeneratorInput, GeneratorSettings, generated
@@ -51,8 +50,7 @@ def made(asked: GeneratorInput, config: Commanded, begun: Callable[[], None]) ->
         InputError: the command is none, it fails, takes too long, or writes no GLB.
     """
     words = words_of(config.command, PLACES, WHERE)
-    with tempfile.TemporaryDirectory(prefix="metascenes-") as name:
-        folder = Path(name)
+    with temporary_folder() as folder:
         out = folder / "model.glb"
         if asked.picture is not None:
             (folder / "image.png").write_bytes(asked.picture)

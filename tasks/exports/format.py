@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from schemas.files import AnyPath, HeldPath
+from schemas.machine.scratch import temporary_folder
 from tasks.exports.files import Export, File, write_folder
 from tasks.exports.findings import Finding
 from tasks.families import part
@@ -112,7 +112,7 @@ def checked(files: Sequence[File], format_: ExportFormat, opened: str) -> Export
     if format_.is_held:
         check: Callable[[AnyPath], Sequence[Finding]] = cast(Any, format_.check)
         return Export(files, format_.rules, check(HeldPath.folder({file.path: file.data for file in files}) / opened))
-    with tempfile.TemporaryDirectory(prefix="export-") as place:
-        root = Path(place).resolve()
+    with temporary_folder() as place:
+        root = place.resolve()
         write_folder(root, {file.path: file.data for file in files})
         return Export(files, format_.rules, format_.check(root / opened))

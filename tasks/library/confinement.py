@@ -10,9 +10,7 @@ import dataclasses
 import json
 import os
 import signal
-import subprocess
 import sys
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,16 +18,15 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.machine.scratch import temporary_folder
 from schemas.parsing import json_value
+from tasks.calls.command import run_apart
 
 FACTS, MODEL = "facts.json", "model.glb"
 """What a child leaves in its folder."""
 
 PATIENCE = 6
 """So many times its computing time a child may take by the clock: it waits where others compute."""
-
-KEPT = ("PATH", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "TMPDIR")
-"""Of the environment, what a child needs."""
 
 CODE = "from tasks.library.usd.child import main; main()"
 
@@ -51,38 +48,35 @@ def confined(task: str, path: Path, root: Path, name: str) -> Confined:
     size = path.stat().st_size
     seconds = int(BUDGET.seconds + BUDGET.child_seconds_per_mb * size / 1e6) + 1
     memory = BUDGET.child_bytes + BUDGET.child_bytes_per_byte * size
-    with tempfile.TemporaryDirectory(prefix="model-", ignore_cleanup_errors=True) as folder:
-        command = [sys.executable, "-c", CODE, task, str(path.absolute()), str(root.absolute()), folder, str(seconds), str(memory)]
-        environment = {key: os.environ[key] for key in KEPT if key in os.environ}
+    with temporary_folder() as folder:
+        files = [str(file.absolute()) for file in (path, root)]
+        command = [sys.executable, "-c", CODE, task, *files, str(folder), str(seconds), str(memory)]
         places = [place or os.getcwd() for place in sys.path]
-        environment |= {"PYTHONPATH": os.pathsep.join(places), "PXR_WORK_THREAD_LIMIT": "1", "HOME": folder}
-        try:
-            done = subprocess.run(
-                command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE * seconds, check=False
-            )
-        except subprocess.TimeoutExpired:
-            raise InputError(name, "content", f"its reader takes more than {seconds} s", "simplify it") from None
-        if done.returncode:
-            problem = _death(done.returncode, done.stderr, seconds, memory)
+        more = {"PYTHONPATH": os.pathsep.join(places), "PXR_WORK_THREAD_LIMIT": "1", "HOME": str(folder)}
+        ending = run_apart(command, folder, PATIENCE * seconds, more)
+        if ending.code is None:
+            raise InputError(name, "content", f"its reader takes more than {seconds} s", "simplify it")
+        if ending.code:
+            problem = _death(ending.code, ending.said, seconds, memory)
             raise InputError(name, "content", problem, "export it again, or simplify it")
-        facts = json_value(read_file(Path(folder, FACTS), name, BUDGET.text_bytes))
+        facts = json_value(read_file(folder / FACTS, name, BUDGET.text_bytes))
         if not isinstance(facts, dict):
             raise InputError(name, "content", "its reader gave no answer", "export it again")
         if "refused" in facts:
             raise InputError(name, *(str(part) for part in facts["refused"]))
-        model = read_file(Path(folder, MODEL), name, BUDGET.model_bytes) if task == "read" else None
+        model = read_file(folder / MODEL, name, BUDGET.model_bytes) if task == "read" else None
     return Confined(facts, model)
 
 
-def _death(code: int, text: bytes, seconds: int, memory: int) -> str:
+def _death(code: int, text: str, seconds: int, memory: int) -> str:
     """What a child died of, in a line."""
     if code == -signal.SIGXCPU:
         return f"its reader takes more than {seconds} s"
     if code == -signal.SIGXFSZ:
         return f"its reader writes more than {BUDGET.model_bytes >> 20} MB"
-    if b"MemoryError" in text or b"bad_alloc" in text or code in (-signal.SIGKILL, -signal.SIGABRT):
+    if "MemoryError" in text or "bad_alloc" in text or code in (-signal.SIGKILL, -signal.SIGABRT):
         return f"its reader takes more than {memory >> 20} MB of memory"
-    last = text.decode(errors="replace").strip().splitlines()[-1:] or [""]
+    last = text.splitlines()[-1:] or [""]
     return f"its reader dies ({signal.Signals(-code).name if code < 0 else last[0][:160]})"
 
 

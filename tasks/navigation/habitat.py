@@ -9,16 +9,15 @@ import dataclasses
 import importlib
 import json
 import math
-import tempfile
 from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path as File
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.errors import InputError
+from schemas.machine.scratch import temporary_folder
 from tasks.navigation.detour import ON_MESH_M, DetourPathFinder, from_above, space
 from tasks.navigation.navmesh import Settings, dump_navmesh
 from tasks.navigation.points import rows
@@ -62,8 +61,8 @@ def bake_stage(vertices: ArrayLike, faces: ArrayLike, settings: Settings) -> byt
     asked.set_defaults()
     for name, value in dataclasses.asdict(settings).items():
         setattr(asked, _SETTINGS.get(name, name), value)
-    with tempfile.TemporaryDirectory() as folder:
-        stage, config, out = (File(folder) / name for name in ("scene.glb", "scene.stage_config.json", "scene.navmesh"))
+    with temporary_folder() as folder:
+        stage, config, out = (folder / name for name in ("scene.glb", "scene.stage_config.json", "scene.navmesh"))
         trimesh.Trimesh(np.asarray(vertices), np.asarray(faces), process=False).export(stage)
         # a stage without a config is taken as one with +Z up
         config.write_text(json.dumps({"render_asset": stage.name, "collision_asset": stage.name, "up": [0, 1, 0], "front": [0, 0, -1]}))
@@ -98,8 +97,8 @@ class HabitatPathFinder(DetourPathFinder):
         self._sim = habitat_sim()
         self._finder = self._sim.PathFinder()
         if self.floor is not None:
-            with tempfile.TemporaryDirectory() as folder:
-                file = File(folder) / "floor.navmesh"
+            with temporary_folder() as folder:
+                file = folder / "floor.navmesh"
                 file.write_bytes(dump_navmesh(self.floor))
                 if not self._finder.load_nav_mesh(str(file)):
                     raise InputError(

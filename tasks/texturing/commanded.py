@@ -7,8 +7,6 @@ places in a texture and the texture itself. A program that fails, hangs or leave
 from __future__ import annotations
 
 import dataclasses
-import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file, stays_in, write_whole
+from schemas.machine.scratch import temporary_folder
 from tasks.calls.command import filled, places_in, run_apart
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import Surface, load_glb, material_of, sample_surface, surface_of
@@ -93,8 +92,7 @@ def painted(
     needs_image = any("{image}" in word for word in command.words)
     if needs_image and image is None:
         return PaintedTwin(problem="the program wants an image, and there is none")
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with temporary_folder() as folder:
         out = folder / "out.glb"
         write_whole(folder / "mesh.glb", data, cache=True)
         if image is not None:

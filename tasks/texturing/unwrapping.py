@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import shutil
-import tempfile
 import time
 from collections.abc import Hashable
 from pathlib import Path
@@ -21,6 +20,7 @@ from pydantic import Field
 
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.machine.scratch import temporary_folder
 from tasks.calls.command import run_apart
 from tasks.geometry.triangles import distinct_rows, face_areas, welded
 from tasks.settings import Config, Count, Natural, Positive, Share
@@ -118,8 +118,7 @@ class SmartUvUnwrapper(Config):
         before = ["-I", str(SCRIPT.resolve())]
         if Path(program).name.lower().startswith("blender"):
             before = ["--background", "--factory-startup", "--python-exit-code", "3", "--python", str(SCRIPT.resolve()), "--"]
-        with tempfile.TemporaryDirectory() as name:
-            folder = Path(name)
+        with temporary_folder() as folder:
             vertices.astype("<f8").tofile(folder / "vertices.f8")
             faces.astype("<i8").tofile(folder / "faces.i8")
             np.array([math.radians(self.angle_limit_degrees), self.island_margin], dtype="<f8").tofile(folder / "settings.f8")

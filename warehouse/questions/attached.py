@@ -9,12 +9,12 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from schemas.errors import InputError
 from schemas.files import open_file
+from schemas.machine.scratch import temporary_folder
 from schemas.text import one_line
 from warehouse.questions.catalog import entries
 from warehouse.questions.quoting import literal, quoted
@@ -65,8 +65,8 @@ def attached(files: Mapping[str, Path]) -> Iterator[tuple[Attached, ...]]:
     """
     import duckdb
 
-    with tempfile.TemporaryDirectory(prefix="metascenes-sql-") as folder:
-        opened = tuple(_attached(name, path, Path(folder)) for name, path in files.items())
+    with temporary_folder() as folder:
+        opened = tuple(_attached(name, path, folder) for name, path in files.items())
         for each in opened:
             with duckdb.connect(":memory:") as connection:
                 connection.execute(f"SET allowed_paths = [{literal(each.link)}]")

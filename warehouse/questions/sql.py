@@ -11,7 +11,6 @@ import contextlib
 import dataclasses
 import json
 import re
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from schemas.errors import InputError
+from schemas.machine.scratch import temporary_folder
 from schemas.text import one_line
 from warehouse.questions.macros import table_macros
 from warehouse.questions.quoting import quoted
@@ -136,7 +136,7 @@ def ask(
     with contextlib.ExitStack() as stack:
         settings: dict[str, str | int] = {"python_enable_replacements": "false"}
         if memory_mb is not None:
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="metascenes-sql-"))
+            folder = str(stack.enter_context(temporary_folder()))
             settings |= {"memory_limit": f"{memory_mb}MB", "temp_directory": folder, "max_temp_directory_size": _SPILL}
         names = asked_by(sql)
         connection = stack.enter_context(reader.connect(settings, names, attached))

@@ -7,15 +7,15 @@ and when the process started. A process id alone is reused by the system; togeth
 from __future__ import annotations
 
 import dataclasses
-import functools
-import hashlib
 import itertools
 import os
 import re
-import socket
-import subprocess
 import threading
-from pathlib import Path
+
+from schemas.machine.processes import machine_name, start_of
+
+# Tests give a process the name of another machine.
+_machine, _process_start = machine_name, start_of
 
 _counter = itertools.count(1)
 _counter_lock = threading.Lock()
@@ -63,30 +63,3 @@ def writer_of(token: str) -> Writer | None:
     """The writer that made `token`, or None when it is no token."""
     parts = _TOKEN.fullmatch(token)
     return Writer(parts[1], int(parts[2]), parts[3]) if parts else None
-
-
-@functools.cache
-def _machine() -> str:
-    """Hash of host name, boot and process namespace: process ids can be compared only within these."""
-    facts = [socket.gethostname()]
-    for read in (lambda: Path("/proc/sys/kernel/random/boot_id").read_text().strip(), lambda: os.readlink("/proc/self/ns/pid")):
-        try:
-            facts.append(read())
-        except OSError:  # not Linux: the host name has to do
-            facts.append("")
-    return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:8]
-
-
-def _process_start(pid: int) -> str | None:
-    """When process `pid` started, as the system counts it; None when there is no such process (a zombie is none)."""
-    try:
-        # The second field is the program's name in brackets and may hold anything, so count from the last bracket.
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        if fields[0] in ("Z", "X") and len(os.listdir(f"/proc/{pid}/task")) < 2:
-            return None
-        return fields[19]  # of a killed process whose first thread is gone, others may still be in the middle of a write
-    except (FileNotFoundError, ProcessLookupError):
-        if Path("/proc/self/stat").exists():
-            return None
-    shown = subprocess.run(["ps", "-o", "lstart=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
-    return hashlib.sha256(shown.strip().encode()).hexdigest()[:10] if shown.strip() else None

@@ -7,7 +7,6 @@ import itertools
 import json
 import os
 import re
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from schemas.errors import InputError, LakeError
+from schemas.machine.scratch import temporary_folder
 from schemas.parsing import json_value
 from warehouse.storage.files import Entry
 from warehouse.storage.refusals import StoreAway
-from warehouse.storage.workplace import workplace
 
 if TYPE_CHECKING:
     import pyarrow.fs
@@ -84,7 +83,7 @@ class ObjectStorage:
 
     def workplace(self) -> contextlib.AbstractContextManager[Path]:
         """See Storage. In the system's folder of temporary files."""
-        return workplace(Path(tempfile.gettempdir()) / "metascenes")
+        return temporary_folder()
 
     def create(self, path: str, data: bytes) -> bool:
         """See Storage. A put on the condition that there is no such object."""

@@ -5,12 +5,11 @@ Names are kept in a temporary database on disk: a large lake has tens of million
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from schemas.machine.scratch import temporary_folder
 from schemas.tables import TABLES
 from warehouse.questions.quoting import literal, parquet_files, quoted
 from warehouse.storage.blobs import FOLDER
@@ -28,12 +27,12 @@ def workspace(storage: Storage, memory: str = _MEMORY) -> Iterator[duckdb.DuckDB
     """A DuckDB database in a temporary file, which can read the lake's files and spills to disk beyond `memory`."""
     import duckdb
 
-    with named(storage), tempfile.TemporaryDirectory(prefix="metascenes-") as folder:
-        connection = duckdb.connect(str(Path(folder) / "work.duckdb"))
+    with named(storage), temporary_folder() as folder:
+        connection = duckdb.connect(str(folder / "work.duckdb"))
         try:
             connection.execute("SET TimeZone = 'UTC'")
             connection.execute(f"SET memory_limit = '{memory}'")
-            connection.execute(f"SET temp_directory = {literal(str(Path(folder) / 'spill'))}")
+            connection.execute(f"SET temp_directory = {literal(str(folder / 'spill'))}")
             storage.register(connection)
             yield connection
         finally:

@@ -6,7 +6,6 @@ import dataclasses
 import json
 import shutil
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -17,6 +16,7 @@ from pydantic import Field
 
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.machine.scratch import temporary_folder
 from schemas.parsing import json_value
 from tasks.calls.command import run_apart
 from tasks.capture.reading import FrameSource
@@ -69,9 +69,9 @@ class Open3DPoses(Config):
         python = shutil.which(self.python or sys.executable)
         if python is None:
             return "no such program"
-        with tempfile.TemporaryDirectory() as name:
+        with temporary_folder() as folder:
             try:
-                return run_apart([python, "-I", "-c", "import open3d"], Path(name), self.timeout_s).problem
+                return run_apart([python, "-I", "-c", "import open3d"], folder, self.timeout_s).problem
             except (OSError, ValueError) as error:
                 return str(error)
 
@@ -86,16 +86,15 @@ class Open3DPoses(Config):
         python = shutil.which(self.python or sys.executable)
         if python is None:
             raise InputError(self.python, FIELD, "is no program that can be run", remedy)
-        with tempfile.TemporaryDirectory() as name:
-            folder = Path(name)
+        with temporary_folder() as folder:
             shape = _written(folder, frames, self.width_px)
             np.asarray(given, dtype="<f8").tofile(folder / "given.f8")
             settings = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name not in _NOT_OF_THE_SCRIPT}
             (folder / "settings.json").write_text(json.dumps({**settings, "shape": shape}))
             # sums of several threads have no order, and poses no last digits that stay
-            command = ["env", "OMP_NUM_THREADS=1", str(Path(python).absolute()), "-I", str(SCRIPT.resolve()), str(folder)]
+            command = [str(Path(python).absolute()), "-I", str(SCRIPT.resolve()), str(folder)]
             try:
-                ending = run_apart(command, folder, self.timeout_s)
+                ending = run_apart(command, folder, self.timeout_s, {"OMP_NUM_THREADS": "1"})
             except (OSError, ValueError) as error:
                 raise InputError(python, FIELD, f"cannot be run: {error}", remedy) from error
             if ending.problem:

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -20,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from schemas.machine.scratch import temporary_folder
 from schemas.navigation import Episode, Navmesh
 from tasks.exports.bodies import Body, Replica, digest, identifier, stem
 from tasks.exports.config import ExportsConfig, HabitatConfig
@@ -339,8 +338,8 @@ def _make(scene: ExportedScene) -> Export:
     blob = None if navmesh is None else (navmesh, scene.blobs[navmesh.navmesh_blob])
     files, lost = habitat_files(replica, blob, scene.episodes, config)
     contents = {file.path: file.data for file in files}
-    with tempfile.TemporaryDirectory(prefix="dataset-") as place:
-        root = Path(place).resolve() / HABITAT.name
+    with temporary_folder() as place:
+        root = place.resolve() / HABITAT.name
         write_folder(root, contents | _shared([({file.path: file.role for file in files}, contents.__getitem__)]))
         return Export(files, HABITAT.rules, HABITAT.check(root), [*missed, *lost])
 

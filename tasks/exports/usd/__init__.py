@@ -8,7 +8,6 @@ a ceiling is a static collider without a rigid body, like the room.
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from types import ModuleType
@@ -16,6 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from schemas.machine.scratch import temporary_folder
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
 from tasks.exports.files import Export, files_below
@@ -211,8 +211,8 @@ _ROLES = {"scene.usda": "scene", "textures": "texture", "room": "stage"}
 
 def _make(scene: ExportedScene) -> Export:
     """The scene, written to a temporary folder, checked there, read back."""
-    with tempfile.TemporaryDirectory(prefix="usd-") as place:
-        root = Path(place).resolve()
+    with temporary_folder() as place:
+        root = place.resolve()
         findings = USD.check(write_usd(root, scene.replica, scene.config))
         return Export(files_below(root, _role), USD.rules, findings)
 

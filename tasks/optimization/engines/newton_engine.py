@@ -13,8 +13,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
-import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from schemas.machine.scratch import temporary_folder
+from tasks.calls.command import run_apart
 from tasks.geometry.transforms import pose_from_quaternion_wxyz, quaternion_xyzw
 from tasks.optimization.engines.mujoco_engine import Simulation, Timestep, unfit
 from tasks.optimization.solids import ConvexParts, RigidBody, mass_properties_of
@@ -63,8 +63,8 @@ def simulate(bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexPa
     """
     problems = [unfit(body) for body in bodies]
     steps = round(seconds / settings.timestep_s)
-    with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder) / "scene.npz", Path(folder) / "settled.npz"
+    with temporary_folder() as folder:
+        source, target = folder / "scene.npz", folder / "settled.npz"
         np.savez(source, **_scene(bodies, poses, shell, problems, steps, settings))
         _run(settings, source, target)
         with np.load(target) as arrays:
@@ -122,11 +122,11 @@ def _run(settings: Newton, source: Path, target: Path) -> None:
         raise InputError(settings.python, field, "is no program that can be run", remedy)
     command = [os.path.abspath(python), "-I", str(SCRIPT.resolve()), str(source), str(target)]
     try:
-        done = subprocess.run(command, cwd=source.parent, capture_output=True, text=True, timeout=settings.timeout_s, check=False)
-    except OSError as error:
-        raise InputError(settings.python, field, f"cannot be run: {error.strerror}", remedy) from error
-    except subprocess.TimeoutExpired as error:
-        raise InputError(settings.python, field, f"Newton took longer than {settings.timeout_s:g} s", "raise timeout_s") from error
-    if done.returncode != 0 or not target.exists():
-        last = (done.stderr.strip() or "it left no result").splitlines()[-1]
-        raise InputError(settings.python, field, f"Newton ended with code {done.returncode}: {last}", remedy)
+        ending = run_apart(command, source.parent, settings.timeout_s)
+    except (OSError, ValueError) as error:
+        problem = getattr(error, "strerror", None) or error
+        raise InputError(settings.python, field, f"cannot be run: {problem}", remedy) from error
+    if ending.problem:
+        raise InputError(settings.python, field, f"Newton {ending.problem}", remedy if ending.code else "raise timeout_s")
+    if not target.exists():
+        raise InputError(settings.python, field, "Newton ended well, but it left no result", remedy)

@@ -5,16 +5,15 @@ from __future__ import annotations
 import dataclasses
 import gzip
 import io
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from schemas.machine.scratch import temporary_folder
 from warehouse.questions.quoting import quoted
 from warehouse.storage.files import Storage
 from warehouse.upkeep.erasure.traces import Traces
@@ -108,8 +107,8 @@ def _from_duckdb(data: bytes) -> Iterator[tuple[str, bytes]]:
     """Texts of a database: its tables' rows, and the SQL of its views."""
     import duckdb
 
-    with tempfile.TemporaryDirectory(prefix="metascenes-") as folder:
-        copy = Path(folder) / "copy.duckdb"
+    with temporary_folder() as folder:
+        copy = folder / "copy.duckdb"
         copy.write_bytes(data)
         with duckdb.connect(str(copy), read_only=True, config={"enable_external_access": "false"}) as connection:
             for (sql,) in connection.execute("SELECT sql FROM duckdb_views() WHERE NOT internal").fetchall():

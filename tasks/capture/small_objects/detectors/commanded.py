@@ -8,9 +8,7 @@ of COCO: `{"size": [height, width], "counts": [...]}`, column by column, the fir
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,6 +16,7 @@ import numpy as np
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.machine.scratch import temporary_folder
 from schemas.parsing import json_value
 from schemas.text import one_line
 from tasks.calls.command import CommandFailed, filled, places_in, run_command, words_of
@@ -75,8 +74,7 @@ class CommandDetector:
         return [self._found(picture, names) for picture in pictures]
 
     def _found(self, picture: Image, names: Sequence[str]) -> Detections:
-        with tempfile.TemporaryDirectory(prefix="metascenes-") as name:
-            folder = Path(name)
+        with temporary_folder() as folder:
             (folder / "image.png").write_bytes(png_of(picture))
             values = {"image": str(folder / "image.png"), "names": ", ".join(names), "out": str(folder / ANSWER)}
             try:

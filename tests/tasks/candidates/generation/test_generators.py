@@ -256,8 +256,10 @@ def test_a_command_that_hangs_is_ended_with_all_that_it_began(room: Room, tmp_pa
 
 def test_keys_are_not_told_to_programs_of_others(room: Room, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SEER_API_KEY", "secret")
-    monkeypatch.setenv("HARMLESS", "yes")
-    body = f"assert 'SEER_API_KEY' not in os.environ and os.environ['HARMLESS'] == 'yes'; shutil.copy({str(tmp_path / 'model.glb')!r}, out)"
+    monkeypatch.setenv("HF_HOME", "/models")
+    body = (
+        f"assert 'SEER_API_KEY' not in os.environ and os.environ['HF_HOME'] == '/models'; shutil.copy({str(tmp_path / 'model.glb')!r}, out)"
+    )
     row, _ = offered(room, Commanded(command=tool(tmp_path, body), license="MIT"))
     assert row.outcome == "filled", row.reason
 
