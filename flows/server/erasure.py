@@ -8,7 +8,7 @@ import contextlib
 import dataclasses
 import re
 import urllib.parse
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,6 +41,13 @@ class PrefectErasure:
     redacted: int = 0
     files: int = 0
     remains: tuple[str, ...] = ()
+
+    @classmethod
+    def total(cls, parts: Sequence[PrefectErasure]) -> PrefectErasure:
+        """Several erasures of one command as one."""
+        counts = (sum(getattr(part, name) for part in parts) for name in ("deleted", "redacted", "files"))
+        lines = dict.fromkeys(line for part in parts for line in part.remains)
+        return cls(parts[-1].database if parts else None, *counts, tuple(lines))
 
 
 def erase_from_prefect(traces: Traces, dry_run: bool = False) -> PrefectErasure:

@@ -104,6 +104,8 @@ def erase(
             if work.is_unknown:
                 proof = search(lake.storage, work.plan.traces, advance)
                 if not proof.hits:
+                    # An erasure before may have found these in use, or they are of a lake that was erased elsewhere.
+                    elsewhere(work.plan.traces, frozenset())
                     work.remove_unnamed_blobs()  # a vacuum may have taken away what said whose they are
                     return work.result(proof)
             work.carry_out(advance, elsewhere)
@@ -119,9 +121,7 @@ class _Work:
         named = {release.snapshot_id for release in released(lake.storage)}
         if begun is not None:
             named.add(begun.last)
-        self._kept = [
-            row for row in self._every if row is self._every[-1] or row.snapshot_id in named or _is_marker(row, begun)
-        ]
+        self._kept = [row for row in self._every if row is self._every[-1] or row.snapshot_id in named or _is_marker(row, begun)]
         self._going = tuple(row.snapshot_id for row in self._every if row not in self._kept)
         self._staged = [staged_run for staged_run in lake.staging.runs() if scene_id in (staged_run.run.scene_id, base_of(staged_run.run))]
         self._staged_runs = len(self._staged)
