@@ -6,12 +6,14 @@ import base64
 import binascii
 import contextlib
 import dataclasses
+import os
 import re
 import urllib.parse
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from flows.server.access import prefect_home
 from flows.server.records import KEPT_TABLES, PrefectDatabase
 from warehouse.questions.quoting import listed, literal
 from warehouse.upkeep.erasure import Traces
@@ -56,6 +58,8 @@ def erase_from_prefect(traces: Traces, dry_run: bool = False) -> PrefectErasure:
     Raises:
         LakeError: another process holds the database for too long.
     """
+    if not _has_prefect():
+        return PrefectErasure()
     places = _Places.of_settings()
     deleted = redacted = 0
     if places.database is not None:
@@ -75,6 +79,8 @@ def erase_from_prefect(traces: Traces, dry_run: bool = False) -> PrefectErasure:
 
 def search_prefect(traces: Traces) -> Proof:
     """Look for the scene in Prefect's local database, row by row and in its bytes, and in the files of its home."""
+    if not _has_prefect():
+        return Proof(0, 0, 0, ())
     places = _Places.of_settings()
     files = size = rows = 0
     hits: list[Hit] = []
@@ -87,6 +93,11 @@ def search_prefect(traces: Traces) -> Proof:
             found = [*search_file(path, traces)] if path in places.database_files else _file_hits(path, traces)
             files, size, hits = files + 1, size + path.stat().st_size, [*hits, *found]
     return Proof(files, size, rows, tuple(hits))
+
+
+def _has_prefect() -> bool:
+    """True if Prefect was ever used here: it makes its home when it is imported. Importing it takes seconds."""
+    return prefect_home().exists() or any(name.startswith("PREFECT_") and name != "PREFECT_HOME" for name in os.environ)
 
 
 @dataclasses.dataclass(frozen=True)
