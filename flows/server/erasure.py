@@ -192,7 +192,8 @@ def postgres_statement(traces: Traces) -> str:
 def _pattern(names: Collection[str]) -> str:
     """A regular expression of PostgreSQL for names that stand alone; one that matches nothing without names."""
     ordered = sorted(names, key=lambda name: (-len(name), name))
-    return f"(?<![A-Za-z0-9])({'|'.join(map(re.escape, ordered))})(?![A-Za-z0-9])" if ordered else "(?!)"
+    start = r"((?<![A-Za-z0-9])|(?<=\\[bfnrt])|(?<=\\u[0-9A-Fa-f]{4}))"  # as in Traces: an escape of JSON is no letter
+    return f"{start}({'|'.join(map(re.escape, ordered))})(?![A-Za-z0-9])" if ordered else "(?!)"
 
 
 def _sqlite_file(url: str) -> Path | None:

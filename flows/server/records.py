@@ -186,7 +186,7 @@ def redacted_text(value: Any, traces: Traces) -> Any:
         document = parse_json(text.encode(), "a value of Prefect")
     except InputError:
         document = None
-    if isinstance(document, dict | list):
+    if isinstance(document, dict | list | str):
         return json.dumps(_redacted_value(document, traces), ensure_ascii=False)
     return _redacted_lines(text, traces)
 

@@ -361,6 +361,14 @@ def test_traces_in_texts_are_those_of_an_independent_reading(before: str, after:
         assert text[start:end] in traces.redacted(text) or covers or traces.redacted(text) != text
 
 
+@given(before=st.text(), after=st.text(st.sampled_from(' "./\n'), max_size=3), ascii=st.booleans())
+def test_names_are_found_behind_every_escape_of_json(before: str, after: str, ascii: bool) -> None:
+    traces = traces_of("a/s1_00", ["a/s1_00"], [])
+    text = f"{before}a/s1_00{after}"
+    if traces.in_text(text):
+        assert traces.in_text(json.dumps(text, ensure_ascii=ascii))
+
+
 def test_common_words_are_no_traces() -> None:
     """A scan may be called `kitchen`; other rows may say so, too."""
     traces = traces_of("house/kitchen", ["house/kitchen"], ["house/bedroom"])
