@@ -297,6 +297,7 @@ def test_names_of_others_are_spared() -> None:
 
 @pytest.mark.whole
 def test_the_statement_for_postgres_removes_and_redacts(tmp_path: Path) -> None:
+    escaped = json.dumps(f"a line\n{HOME}")
     with postgres_server(tmp_path) as service:
         service.query(
             "CREATE TABLE task_run (name TEXT, inputs JSON); CREATE TABLE flow_run (name VARCHAR, parameters JSONB); "
