@@ -301,8 +301,8 @@ def test_the_statement_for_postgres_removes_and_redacts(tmp_path: Path) -> None:
     with postgres_server(tmp_path) as service:
         service.query(
             "CREATE TABLE task_run (name TEXT, inputs JSON); CREATE TABLE flow_run (name VARCHAR, parameters JSONB); "
-            f"INSERT INTO task_run VALUES ('{HOME} captions', '{{}}'), ('demo/scene0001_00_b x', '{{}}'), "
-            f"('{OTHER}', '{{\"a\": \"{HOME}\"}}'), ('{OTHER}', NULL), ('{OTHER}', '{json.dumps(f'a line{chr(10)}{HOME}')}'); "
+            f"INSERT INTO task_run VALUES ('{HOME} captions', '{{}}'), ('demo/scene0001_00_b x', '{{}}'), ('{OTHER}', '[\"{HOME}\"]'), "
+            f"('{OTHER}', NULL), ('{OTHER}', '{escaped}'); "
             f'INSERT INTO flow_run VALUES (\'both\', \'{{"scenes": ["{HOME}", "{OTHER}"]}}\')'
         )
         service.query(postgres_statement(TRACES))
