@@ -29,7 +29,7 @@ from warehouse.lake import Lake
 from warehouse.release import make_release
 from warehouse.upkeep.erasure import erase
 
-pytestmark = pytest.mark.usefixtures("own_machine")
+pytestmark = [pytest.mark.whole, pytest.mark.usefixtures("own_machine")]
 
 Ask = Callable[[str], Any]
 GONE, STAYS = SCENES
@@ -196,7 +196,6 @@ def test_an_annotation_page_forgets_an_erased_scene(tmp_path: Path, monkeypatch:
     check_gone(ada.get, files, set())
 
 
-@pytest.mark.whole
 def test_a_viewer_process_forgets_an_erased_scene(tmp_path: Path) -> None:
     lake = shown_lake(tmp_path)
     command = [sys.executable, "-c", LAUNCH.format(first=""), str(stand_in(tmp_path / "built")), "view", "--lake", lake.address, "--json"]
@@ -215,7 +214,6 @@ def test_a_viewer_process_forgets_an_erased_scene(tmp_path: Path) -> None:
         process.wait()
 
 
-@pytest.mark.whole
 def test_an_annotation_server_forgets_an_erased_scene(tmp_path: Path) -> None:
     lake = asked_lake(tmp_path, people=("ada",))
     file = tmp_path / "elsewhere.sqlite"
