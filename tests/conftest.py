@@ -6,6 +6,7 @@ import fcntl
 import os
 import shutil
 import signal
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -43,6 +44,18 @@ def realdata() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture
+def own_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine of the test's own: Prefect's home, cache and temporary files lie below the folder that this gives."""
+    machine = tmp_path / "machine"
+    (machine / "tmp").mkdir(parents=True)
+    monkeypatch.setenv("PREFECT_HOME", str(machine / "prefect"))
+    monkeypatch.setenv("METASCENES_CACHE", str(machine / "cache"))
+    monkeypatch.setenv("TMPDIR", str(machine / "tmp"))
+    monkeypatch.setattr(tempfile, "tempdir", str(machine / "tmp"))
+    return machine
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:

@@ -185,6 +185,7 @@ def test_it_is_exported_over_what_was_exported(lake: Lake, earlier: Path) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("own_machine")
 def test_upkeep_leaves_it_as_it_is(lake: Lake, tmp_path: Path) -> None:
     rows = {table: lake.snapshot().arrow(table) for table in TABLES if table not in ("snapshots", "stage_runs", "releases")}
     told("lake", "compact", "--lake", lake.address)

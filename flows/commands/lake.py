@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
+import operator
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -15,6 +17,7 @@ from flows.progress import Progress
 from schemas.wording import counted, meant, noun
 
 if TYPE_CHECKING:
+    from flows.server.erasure import PrefectErasure
     from warehouse.upkeep.erasure import Erasure, Traces
     from warehouse.upkeep.sizes import Size
 
@@ -171,27 +174,34 @@ def restore(source: str, address: str, as_json: bool) -> None:
 @lake_option
 @json_option
 def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> None:
-    """Erase a scene from all tables, blobs, snapshots, releases, drafts and this machine's caches, and search the lake for what is left.
+    """Erase a scene from all tables, blobs, snapshots, releases, drafts, Prefect and this machine's caches, and search for what is left.
 
-    Only releases and the last snapshot stay, without the scene. There is no way back but a backup from before. Exit
-    code 1 says that something of the scene was found, or that blobs which no row names are too young to be removed: a
-    vacuum of the same day may have left them of this scene. The same command again goes on where this one was stopped.
-    Scenes that `metascenes synthesize` made of it show what it showed, and are erased before it.
+    Only releases and the last snapshot stay, without the scene. There is no way back but a backup from before. Prefect's
+    local database and the project's temporary folders are searched as well; of a server elsewhere the command says how to
+    remove the records. Exit code 1 says that something of the scene was found, or that blobs which no row names are too
+    young to be removed: a vacuum of the same day may have left them of this scene. The same command again goes on where
+    this one was stopped. Scenes that `metascenes synthesize` made of it show what it showed, and are erased before it.
 
     Example: metascenes lake erase scannet/scene0001_00 --dry-run --lake ./lake
     """
-    from flows.scans.erasure import erase_from_caches
+    from flows.scans.erasure import erase_from_caches, search_temporary
+    from flows.server.erasure import PrefectErasure, erase_from_prefect, search_prefect
     from flows.view.annotating.drafts import erase_drafts
+    from schemas.machine.scratch import sweep_temporary_folders
     from warehouse.upkeep.erasure import erase as run
     from warehouse.upkeep.erasure.dependents import FurnishedAnewError, furnished_anew
     from warehouse.upkeep.erasure.plan import read_plan
 
     cached: list[int] = []
     drafts: list[int] = []
+    prefect: list[PrefectErasure] = []
+    erased_traces: list[Traces] = []
 
     def forget(traces: Traces, hashes: frozenset[str]) -> None:
-        cached.append(erase_from_caches(traces, hashes))
+        erased_traces.append(dataclasses.replace(traces, hashes=hashes))
+        cached.append(erase_from_caches(traces, hashes) + len(sweep_temporary_folders()))
         drafts.append(erase_drafts(lake, traces))
+        prefect.append(erase_from_prefect(traces))
 
     lake = existing_lake(address)
     also = furnished_anew(lake, scene)
@@ -213,20 +223,34 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
                 waiting = [*late.scenes, *(name for name in waiting if name not in late.scenes)]
     if dry_run:
         drafts.append(erase_drafts(lake, done.traces, dry_run=True))
+        prefect.append(erase_from_prefect(done.traces, dry_run=True))
+    elif done.proof is not None:
+        traces = functools.reduce(operator.or_, erased_traces)
+        done = dataclasses.replace(done, proof=done.proof | search_prefect(traces) | search_temporary(traces))
     known = lake.snapshot().matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist()
-    _tell_erased(done, also, sum(cached), sum(drafts), dry_run, as_json, known)
+    outside = Outside(sum(cached), sum(drafts), PrefectErasure.total(prefect))
+    _tell_erased(done, also, outside, dry_run, as_json, known)
     if done.proof is not None and (done.proof.hits or done.young_blobs):
         raise click.exceptions.Exit(1)
 
 
-def _tell_erased(
-    done: Erasure, also: tuple[str, ...], cached: int, drafts: int, dry_run: bool, as_json: bool, known: Sequence[str]
-) -> None:
+@dataclasses.dataclass(frozen=True)
+class Outside:
+    """What went outside of the lake's tables: files and entries of caches, drafts of annotators, records of Prefect."""
+
+    cached: int
+    drafts: int
+    prefect: PrefectErasure
+
+
+def _tell_erased(done: Erasure, also: tuple[str, ...], outside: Outside, dry_run: bool, as_json: bool, known: Sequence[str]) -> None:
+    prefect, drafts = outside.prefect, outside.drafts
     if as_json:
         shown: dict[str, Any] = {
             "scene_id": done.scene_id, "dry_run": dry_run, "rows": dict(done.rows), "staged_runs": done.staged_runs, "blobs": done.blobs,
-            "snapshots": list(done.snapshots), "releases": list(done.releases), "young_blobs": done.young_blobs, "cached_files": cached,
-            "drafts": drafts, "models": list(done.models), "also": list(also),
+            "snapshots": list(done.snapshots), "releases": list(done.releases), "young_blobs": done.young_blobs,
+            "cached_files": outside.cached, "drafts": drafts, "prefect": dataclasses.asdict(prefect), "models": list(done.models),
+            "also": list(also),
             "proof": None if done.proof is None else dataclasses.asdict(done.proof),
         }  # fmt: skip
         print(json.dumps(shown))
@@ -240,8 +264,15 @@ def _tell_erased(
         print("; ".join(filter(None, (f"nothing in the lake names {done.scene_id}", meant(done.scene_id, known).strip()))))
     print(
         f"{counted(done.staged_runs, 'staged run')} and {counted(done.blobs, 'blob')} {verb}, "
-        f"and {counted(cached, 'file or entry', 'files and entries')} of this machine's caches"
+        f"and {counted(outside.cached, 'file or entry', 'files and entries')} of this machine's caches"
     )
+    if prefect.deleted or prefect.redacted or prefect.files:
+        redacted = f", names in {counted(prefect.redacted, 'row')} redacted" if prefect.redacted else ""
+        print(
+            f"{counted(prefect.deleted, 'row')} of Prefect's database and {counted(prefect.files, 'file')} of its home {verb}"
+            f"{redacted}: "
+            f"{prefect.database or 'no database here'}"
+        )
     if drafts:
         print(f"{counted(drafts, 'draft')} of annotators {verb}")
     if done.snapshots:
@@ -264,8 +295,10 @@ def _tell_erased(
             f"{counted(proof.rows, 'row')}: {counted(len(proof.hits), 'hit')}"
         )
         for hit in proof.hits:
-            print(f"{hit.path}: {hit.place}: {counted(hit.count, 'time')}, {', '.join(hit.traces)}")
-    print("Not reached: scans, folders that were exported, backups (make the next one), other machines' caches.")
+            print(f"{hit.path}: {hit.place}: {counted(hit.count, 'time')}{', ' if hit.traces else ''}{', '.join(hit.traces)}")
+    print("Not reached: scans, folders that were exported, backups (make the next one), other machines' caches and browsers.")
+    for line in prefect.remains:
+        print(line)
 
 
 def _tell_copied(what: str, done: Any, as_json: bool) -> None:

@@ -1,18 +1,23 @@
-"""What this machine remembers of a scene outside of the lake: cached convex pieces, surfaces, hashes of scan files, and
-mirrors of scans that lie in a store."""
+"""Erasure from this machine outside of the lake: caches, mirrors of scans that lie in a store, and temporary folders."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import tempfile
 from collections.abc import Collection
 from pathlib import Path
 
 from flows.run.fingerprints import PICTURES, cache_folder
+from flows.scans.mirror import facts_of
+from schemas.errors import InputError
 from schemas.files import write_whole
 from schemas.record import BLOB_PATTERN
+from tasks.batches import parse_json
 from warehouse.upkeep.erasure import Traces
+from warehouse.upkeep.erasure.proof import Proof, hits_in
 
 
 def erase_from_caches(traces: Traces, hashes: Collection[str], folder: Path | None = None) -> int:
@@ -37,8 +42,9 @@ def _erase_mirrors(folder: Path, traces: Traces) -> int:
     """Remove the versions of the scene's scan that were fetched from a store, and the links to them."""
     count = 0
     for facts in sorted(folder.glob("*/versions/*.json")):
-        record = json.loads(facts.read_text())
-        if any(traces.in_text(str(record.get(name, ""))) for name in ("scene", "scan", "content")):
+        record = facts_of(facts)
+        # A damaged record says nothing: its version goes, too, and is fetched again when it is needed.
+        if not record or any(traces.in_text(str(record.get(name, ""))) for name in ("scene", "scan", "content")):
             facts.unlink(missing_ok=True)
             shutil.rmtree(facts.with_suffix(""), ignore_errors=True)
             count += 1
@@ -51,11 +57,46 @@ def _erase_mirrors(folder: Path, traces: Traces) -> int:
 def _erase_paths(store: Path, traces: Traces) -> int:
     """Remove the entries of scan files whose paths name the scene."""
     try:
-        known = json.loads(store.read_text())
-    except (OSError, ValueError):
+        known = parse_json(store.read_bytes(), str(store))
+    except FileNotFoundError:
         return 0
-    kept = {path: entry for path, entry in known.items() if not traces.in_text(path)} if isinstance(known, dict) else {}
-    if isinstance(known, dict) and len(kept) == len(known):
-        return 0
-    write_whole(store, json.dumps(kept).encode(), cache=True)
+    except InputError:
+        known = None
+    if not isinstance(known, dict):  # damaged: the hashes are computed again
+        store.unlink(missing_ok=True)
+        return 1
+    kept = {path: entry for path, entry in known.items() if not traces.in_text(path)}
+    if len(kept) < len(known):
+        write_whole(store, json.dumps(kept).encode(), cache=True)
     return len(known) - len(kept)
+
+
+def temporary_entries() -> list[Path]:
+    """The project's files and folders in the system's folder of temporary files that belong to this user, sorted."""
+    return sorted(path for path in Path(tempfile.gettempdir()).glob("metascenes-*") if _is_own(path))
+
+
+def _is_own(path: Path) -> bool:
+    """True if a path is a file or folder of this user, and not a link."""
+    try:
+        return not path.is_symlink() and path.lstat().st_uid == os.geteuid()
+    except FileNotFoundError:
+        return False
+
+
+def search_temporary(traces: Traces) -> Proof:
+    """Look for the scene in the project's temporary files: those of a process that is at work may name it."""
+    proof = Proof(0, 0, 0, ())
+    for entry in temporary_entries():
+        for path in [entry, *entry.rglob("*")]:
+            proof |= _search(path, traces)
+    return proof
+
+
+def _search(path: Path, traces: Traces) -> Proof:
+    """Look for the scene in the name of a path and in the content of a file; whoever owns it may remove it meanwhile."""
+    try:
+        data = path.read_bytes() if path.is_file() and not path.is_symlink() else b""
+    except OSError:
+        return Proof(0, 0, 0, ())
+    return Proof(1, len(data), 0, tuple(hits_in(str(path), data, traces)))

@@ -18,6 +18,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from flows.progress import Progress
 from flows.run.fanout.quota import GB, KEEP_FREE_GB
@@ -25,6 +26,7 @@ from flows.run.fingerprints import cache_folder, digest
 from flows.scans.listing import ListedPath, ScanFile, ScanListing, files_of, listed_folder, listings, usable_paths
 from schemas.errors import InputError
 from schemas.text import one_line
+from tasks.batches import parse_json
 from tasks.capture.formats import find_scans, scan_files
 from tasks.capture.premises import place_of
 from tasks.capture.scan import Scan
@@ -205,10 +207,12 @@ class StoreSource:
                     with contextlib.suppress(FileNotFoundError):  # being closed
                         used |= set((view / "versions").read_text().splitlines())
             for facts in (self._root / "versions").glob("*.json"):
-                place = str(json.loads(facts.read_text())["scan"])
-                kept = current[place] == facts.stem if place in current else (self._folder / place).exists()
-                if not kept and facts.stem not in used:
-                    facts.unlink()
+                place = facts_of(facts).get("scan")
+                is_current = isinstance(place, str) and (
+                    current[place] == facts.stem if place in current else (self._folder / place).exists()
+                )
+                if not is_current and facts.stem not in used:
+                    facts.unlink(missing_ok=True)
                     shutil.rmtree(facts.with_suffix(""), ignore_errors=True)
 
 
@@ -260,9 +264,10 @@ class _Version:
         """Files of other versions of the scan, by path, size and ETag."""
         known: dict[str, Path] = {}
         for facts in self.folder.parent.glob(f"{self.folder.name.partition('-')[0]}-*.json"):
-            with contextlib.suppress(FileNotFoundError):
-                read = json.loads(facts.read_text())
-                known |= {mark: facts.with_suffix("") / read["content"] / below for mark, below in read["files"].items()}
+            read = facts_of(facts)
+            files = read.get("files")
+            content = facts.with_suffix("") / str(read.get("content", ""))
+            known |= {mark: content / str(below) for mark, below in files.items()} if isinstance(files, dict) else {}
         return known
 
     def put(self, content: Path, spare: Path) -> None:
@@ -288,6 +293,15 @@ class _Version:
             path = self.content / below
             if path.stat().st_mtime_ns != entry.modified_ns:
                 os.utime(path, ns=(entry.modified_ns, entry.modified_ns))
+
+
+def facts_of(path: Path) -> dict[str, Any]:
+    """Facts of a version, as they were written; empty if the file is gone or damaged. The version is fetched again then."""
+    try:
+        read = parse_json(path.read_bytes(), str(path))
+    except (FileNotFoundError, InputError):
+        return {}
+    return read if isinstance(read, dict) else {}
 
 
 def _needed(scan: Scan) -> list[tuple[ScanFile, str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable
 
-from fastapi import APIRouter, FastAPI, Request, Response
+from fastapi import APIRouter, Depends, FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
 from flows.view.bundle import KINDS, client_file
@@ -47,9 +47,12 @@ def application(routers: Iterable[APIRouter], page: str = "view.html") -> FastAP
     return app
 
 
-def scene_routes(scenes: Scenes) -> APIRouter:
-    """What any page of ours may ask of the scenes of a snapshot."""
-    api = APIRouter()
+def scene_routes(scenes: Scenes, refresh: Callable[[], None] | None = None) -> APIRouter:
+    """What any page of ours may ask of the scenes of a snapshot.
+
+    `refresh` is called before each answer, so that no page shows what was erased meanwhile; by default that of the scenes.
+    """
+    api = APIRouter(dependencies=[Depends(refresh or scenes.refresh)])
 
     @api.get("/api/scenes")
     def listed() -> Response:
@@ -97,12 +100,12 @@ def explanation(scenes: Scenes, scene_id: str, instance_id: str) -> str:
 def named(request: Request, name: str, read: Callable[[str], bytes]) -> Response:
     """An answer that is named by its content: a browser asks for it once."""
     headers = {"ETag": f'"{name}"', "Cache-Control": FOREVER}
-    if request.headers.get("if-none-match") == headers["ETag"]:
-        return Response(status_code=304, headers=headers)
     try:
         data = read(name)
     except KeyError:
         return missing()
+    if request.headers.get("if-none-match") == headers["ETag"]:  # only now: what was erased is not confirmed
+        return Response(status_code=304, headers=headers)
     return Response(data, media_type=BLOB_KINDS.get(name.rpartition(".")[2], "application/octet-stream"), headers=headers)
 
 

@@ -41,15 +41,42 @@ class Scenes:
     """The scenes of one snapshot. What was made for a page is kept while it is among the last few."""
 
     def __init__(self, lake: Lake, snapshot_id: int | None = None, release: str | None = None, kept: int = 8) -> None:
-        """`release`: what the snapshot is called."""
-        self.lake = lake
+        """`release`: what the snapshot is called. Without `snapshot_id` the last one, and a later one once that is gone."""
+        self.lake, self._is_chosen = lake, snapshot_id is not None
+        self.commit = lake.last_commit()
         self.reader = lake.snapshot(snapshot_id)
         if self.reader.snapshot is None:
             raise InputError(lake.address, "view", "the lake has no snapshot yet", "run something first")
         self.release = release
         self._kept, self._most, self._lock = OrderedDict[str, Shown](), kept, threading.Lock()
-        self._maker: dict[str, str] = {}  # for what was made once: which scene has it
+        self._looking = threading.Lock()
+        self._namers: dict[str, set[str]] = {}  # scenes that were shown, by name of a blob or of bytes that were made
         self._blobs: set[str] = set()
+
+    def refresh(self) -> None:
+        """Forget all that is kept in memory if the snapshot was written again, which is how an erasure takes a scene away.
+
+        As long as nobody commits this takes one listing of the log of snapshots.
+
+        Raises:
+            InputError: the snapshot that was asked for is gone.
+        """
+        with self._looking:
+            commit = self.lake.last_commit()
+            if commit == self.commit:
+                return
+            newest = self.lake.snapshot()
+            row = next((row for row in newest.snapshots if row.snapshot_id == self.reader.snapshot_id), None)
+            if row is None or row != self.reader.snapshot:
+                is_moved = row is None and not self._is_chosen
+                reader = newest if is_moved else self.lake.snapshot(self.reader.snapshot_id)
+                known = set(reader.matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist())
+                with self._lock:  # a scene that is being read from the old files is forgotten as well
+                    self.reader = reader
+                    self._kept.clear()
+                    self._blobs.clear()
+                    self._namers = {name: scenes & known for name, scenes in self._namers.items() if scenes & known}
+            self.commit = commit
 
     def listed(self) -> Document:
         """All scenes in short, and which snapshot this is."""
@@ -113,7 +140,8 @@ class Scenes:
                 self._kept[scene_id] = shown = self._show(scene_id)
                 if len(self._kept) > self._most:
                     self._kept.popitem(last=False)
-                self._maker |= dict.fromkeys(shown.made, scene_id)
+                for name in (*shown.made, *shown.blobs):
+                    self._namers.setdefault(name, set()).add(scene_id)
                 self._blobs |= shown.blobs
             self._kept.move_to_end(scene_id)
             return self._kept[scene_id]
@@ -124,11 +152,15 @@ class Scenes:
         Raises:
             KeyError: no such scene names it, or it is not there.
         """
-        if name in self._maker:
-            return self.shown(self._maker[name]).made[name]
-        if name not in self._blobs:
-            raise KeyError(name)
-        return self.lake.blobs[name]
+        if name in self._blobs:
+            return self.lake.blobs[name]
+        for scene_id in sorted(self._namers.get(name, ())):
+            shown = self.shown(scene_id)
+            if name in shown.made:
+                return shown.made[name]
+            if name in shown.blobs:
+                return self.lake.blobs[name]
+        raise KeyError(name)
 
     def _show(self, scene_id: str) -> Shown:
         read, made = self.reader, dict[str, bytes]()

@@ -50,6 +50,7 @@ def shell(*arguments: str, limit: int | None = None) -> subprocess.CompletedProc
 
 
 @pytest.mark.whole
+@pytest.mark.usefixtures("own_machine")
 @pytest.mark.parametrize("limit", [0, pytest.param(2_000, marks=pytest.mark.whole)])
 @pytest.mark.parametrize("words", [("lake", "compact"), ("lake", "erase", "a/scene1", "--yes"), ("release", "create", "v1")])
 def test_a_write_that_fails_half_way_is_one_line_and_leaves_the_lake_sound(words: tuple[str, ...], limit: int, tmp_path: Path) -> None:
@@ -92,6 +93,7 @@ def test_a_data_file_that_is_missing_or_damaged_is_named(name: str, damage: str,
 
 
 @pytest.mark.whole
+@pytest.mark.usefixtures("own_machine")
 def test_a_missing_data_file_is_misuse_on_the_command_line(tmp_path: Path) -> None:
     lake = lake_at(tmp_path / "lake")
     next((tmp_path / "lake" / "tables" / "instances").glob("*.parquet")).unlink()

@@ -9,7 +9,7 @@ import os
 import sqlite3
 import stat
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -165,14 +165,19 @@ class Drafts:
         with self._asking() as ask:
             counts = ask("SELECT scene_id, count(body) FROM drafts GROUP BY scene_id").fetchall()  # without those that were answered
             scenes = {scene: int(count) for scene, count in counts if traces.in_text(scene)}
-            if not dry_run:
-                ask("PRAGMA secure_delete = ON")
-                for scene in scenes:
-                    ask("DELETE FROM drafts WHERE scene_id = ?", (scene,))
-                if scenes:
-                    ask("VACUUM")
-                ask("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+        if not dry_run:
+            self.remove_scenes(scenes)
         return sum(scenes.values())
+
+    def remove_scenes(self, scenes: Collection[str]) -> None:
+        """Remove the drafts of all batches for some scenes, so that the file's bytes tell nothing of them."""
+        with self._asking() as ask:
+            ask("PRAGMA secure_delete = ON")
+            for scene in scenes:
+                ask("DELETE FROM drafts WHERE scene_id = ?", (scene,))
+            if scenes:
+                ask("VACUUM")
+            ask("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
 
     def _stored(self, key: Key, annotator: str) -> KeptDraft | None:
         row = self._connection.execute(

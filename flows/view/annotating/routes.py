@@ -44,7 +44,7 @@ json_object: Body = Depends(json_body)
 def annotation_application(work: ServedBatch, rooms: Rooms) -> FastAPI:
     """The application of the annotation page. Whoever serves it guards it, and says who asks: `scope["person"]`."""
     own = (file_routes(work), annotator_routes(work), placing_routes(work, rooms), reviewer_routes(work))
-    app = application([scene_routes(work.scenes), *own], PAGE)
+    app = application([scene_routes(work.scenes, work.refresh), *own], PAGE)
 
     @app.exception_handler(Refusal)
     def refused(request: Request, refusal: Refusal) -> Response:
@@ -67,7 +67,7 @@ def asking(work: ServedBatch, role: str = "") -> Callable[[Request], str]:
 
 def file_routes(work: ServedBatch) -> APIRouter:
     """What the page shows of objects and candidates, named by content; who is there, and how the batch stands."""
-    api = APIRouter()
+    api = APIRouter(dependencies=[Depends(work.refresh)])
     person = Depends(asking(work))
 
     @api.get("/thumbnails/{name}")
@@ -102,7 +102,7 @@ def file_routes(work: ServedBatch) -> APIRouter:
 
 def annotator_routes(work: ServedBatch) -> APIRouter:
     """What an annotator asks and changes: their own objects, drafts and answers."""
-    api = APIRouter()
+    api = APIRouter(dependencies=[Depends(work.refresh)])
     person = Depends(asking(work, ANNOTATOR))
 
     @api.get("/api/work")
@@ -157,7 +157,7 @@ def annotator_routes(work: ServedBatch) -> APIRouter:
 
 def placing_routes(work: ServedBatch, rooms: Rooms) -> APIRouter:
     """What is computed while an annotator places an asset; a few at a time, so that drafts need not wait for it."""
-    api = APIRouter()
+    api = APIRouter(dependencies=[Depends(work.refresh)])
     person = Depends(asking(work, ANNOTATOR))
     turns = Turns()
 
@@ -176,7 +176,7 @@ def placing_routes(work: ServedBatch, rooms: Rooms) -> APIRouter:
 
 def reviewer_routes(work: ServedBatch) -> APIRouter:
     """What a reviewer asks and changes: the sample, verdicts on answers of others, what becomes of the batch."""
-    api = APIRouter()
+    api = APIRouter(dependencies=[Depends(work.refresh)])
     person = Depends(asking(work, REVIEWER))
 
     @api.post("/api/sample")

@@ -55,6 +55,7 @@ class Rooms:
         self._work, self._lock = work, threading.Lock()
         self._kept = OrderedDict[str, RoomRows]()
         self._caches = ModuleCaches()
+        self._reader = work.scenes.reader
 
     def figures(self, name: str, key: Key, body: Mapping[str, Any]) -> dict[str, Any] | None:
         """What the guidelines say of what somebody sets for an object; None where nothing is chosen or it cannot be placed.
@@ -107,9 +108,12 @@ class Rooms:
                         rest_alone(pushed, row, Default(), SupportConfig(), self._context(scene).rng)
 
     def _rows(self, scene_id: str) -> RoomRows:
+        reader = self._work.scenes.reader
         with self._lock:
+            if reader is not self._reader:  # of a snapshot that was written again: a scene was erased
+                self._kept.clear()
+                self._reader, self._caches = reader, ModuleCaches()
             if scene_id not in self._kept:
-                reader = self._work.scenes.reader
                 candidates, selections = reader.rows(Candidate, scene_id), reader.rows(Selection, scene_id)
                 named = {row.asset_id for row in selections} | {row.asset_id for row in candidates if row.asset_id is not None}
                 assets = reader.rows_by_key(Asset, named)

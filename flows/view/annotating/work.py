@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from flows.inputs.annotation import batch_list, open_reviews, open_work
 from flows.inputs.annotation.acts import known_state, rows_of, state_in
@@ -23,6 +26,9 @@ from warehouse.lake import Lake
 from warehouse.tables.gate import demands
 from warehouse.tables.snapshot import Reader
 
+COMPARED = ("instances", "candidates", "selections")
+"""Tables of what people are shown of an object: no answer is saved once its rows there are others."""
+
 
 class BatchScenes(Scenes):
     """The scenes of a batch; others are not there."""
@@ -30,6 +36,11 @@ class BatchScenes(Scenes):
     def __init__(self, lake: Lake, snapshot_id: int, scene_ids: Sequence[str], blobs: frozenset[str]) -> None:
         """`blobs`: what may be asked for before a scene was shown."""
         super().__init__(lake, snapshot_id)
+        self._is_chosen = False  # each answer is a commit: once this snapshot is gone, the last one is shown
+        self.keep(scene_ids, blobs)
+
+    def keep(self, scene_ids: Collection[str], blobs: frozenset[str]) -> None:
+        """Show these scenes and offer these blobs, and no others."""
         self.scene_ids, self._offered = frozenset(scene_ids), blobs
 
     def listed(self) -> Document:
@@ -39,6 +50,8 @@ class BatchScenes(Scenes):
 
     def first(self) -> str:
         """See Scenes."""
+        if not self.scene_ids:
+            raise InputError(self.lake.address, "scenes", "the scenes of this batch were erased")
         return min(self.scene_ids)
 
     def shown(self, scene_id: str) -> Shown:
@@ -70,7 +83,7 @@ class ServedBatch:
 
     def __init__(self, lake: Lake, batch_id: str, drafts: Drafts, reviewers: Sequence[str]) -> None:
         """Raises InputError: the lake has no such batch, it was made elsewhere, or its objects are not there any more."""
-        sign, reader = lake.last_commit(), lake.snapshot()
+        commit, reader = lake.last_commit(), lake.snapshot()
         batch = created_batch(reader, batch_id)
         self.lake, self.batch_id, self.drafts = lake, batch_id, drafts
         assignments = rows_of(reader, Assignment, batch_id)
@@ -81,19 +94,21 @@ class ServedBatch:
             self.assigned[key] = self.assigned.get(key, frozenset()) | {row.annotator}
         asked = asked_of(reader, batch, assignments)
         self.assets = {row.asset_id: row for row in asked.assets}
-        glbs = frozenset(row.mesh_blob for row in asked.assets)
-        self.scenes = BatchScenes(lake, reader.snapshot_id, sorted({scene for scene, _ in self.assigned}), glbs)
+        self.scenes = BatchScenes(lake, reader.snapshot_id, (), frozenset())
+        self._shown_files = {table: reader.files(table) for table in COMPARED}
+        only = {"scene_id": {scene for scene, _ in self.assigned}}
+        self._shown_rows = {table: reader.matching(table, only) for table in COMPARED}
         self._photos = photos_of(self.scenes, asked.instances)
         self._other_photos: dict[tuple[Key, str], Photo] = {
             (key, photo.frame.frame_id): photo for key, photos in self._photos.items() for photo in photos if not photo.is_best
         }
-        self.points = frozenset(row.points_blob for row in asked.instances)
-        self.photos = frozenset(row.view_blob for row in asked.instances if row.view_blob is not None)
+        self._instances = asked.instances
         self._objects = {(row["scene_id"], row["instance_id"]): self._object(row) for row in asked.document["objects"]}
         self._rooms: list[dict[str, Any]] = asked.document["scenes"]
         self._thumbnails: dict[str, bytes] = {}
         self._drawing, self._looking = threading.Lock(), threading.Lock()
-        self._seen = (sign, frozenset(self.assigned))
+        self._keep(frozenset(self._objects))
+        self._commit = commit
 
     def _object(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """What everybody is shown of an object."""
@@ -115,22 +130,57 @@ class ServedBatch:
             ],
         }  # fmt: skip
 
-    def is_asked(self, key: Key) -> bool:
-        """Whether the lake asks for an object now; not once its scene was erased."""
+    def refresh(self) -> None:
+        """Forget the scenes that were erased since the last look: their objects, images, files and drafts."""
         with self._looking:
-            sign = self.lake.last_commit()
-            if sign != self._seen[0]:
-                rows = rows_of(self.lake.snapshot(), Assignment, self.batch_id)
-                self._seen = (sign, frozenset((row.scene_id, row.instance_id) for row in rows))
-            return key in self._seen[1]
+            self.scenes.refresh()
+            commit = self.scenes.commit
+            if commit == self._commit:
+                return
+            rows = rows_of(self.lake.snapshot(), Assignment, self.batch_id)
+            kept = frozenset((row.scene_id, row.instance_id) for row in rows) & self._objects.keys()
+            if kept != self._objects.keys():
+                # First, since an error here is met again by the next request. The file may lie where the erasure did not look.
+                self.drafts.remove_scenes({scene for scene, _ in self._objects} - {scene for scene, _ in kept})
+                self._keep(kept)
+            self._commit = commit
+
+    def _keep(self, keys: frozenset[Key]) -> None:
+        """Keep these objects and all that is shown of them, and nothing else."""
+        scenes = {scene for scene, _ in keys}
+        self._objects = {key: value for key, value in self._objects.items() if key in keys}
+        self._rooms = [row for row in self._rooms if row["scene_id"] in scenes]
+        self._instances = tuple(row for row in self._instances if (row.scene_id, row.instance_id) in keys)
+        self.points = frozenset(row.points_blob for row in self._instances)
+        self.photos = frozenset(row.view_blob for row in self._instances if row.view_blob is not None)
+        self._other_photos = {name: photo for name, photo in self._other_photos.items() if name[0] in keys}
+        in_scenes = pa.array(sorted(scenes), pa.string())
+        self._shown_rows = {
+            table: rows.filter(pc.is_in(rows.column("scene_id"), value_set=in_scenes)) for table, rows in self._shown_rows.items()
+        }
+        offered = {offer["asset_id"] for row in self._objects.values() for offer in row["candidates"]}
+        with self._drawing:
+            self.assets = {name: asset for name, asset in self.assets.items() if name in offered}
+            self._thumbnails = {name: data for name, data in self._thumbnails.items() if name.removesuffix(".jpg") in offered}
+        self.scenes.keep(scenes, frozenset(row.mesh_blob for row in self.assets.values()))
+
+    def is_asked(self, key: Key) -> bool:
+        """True while the lake asks for an object, which ends when its scene is erased."""
+        return key in self._objects
 
     def is_as_shown(self, reader: Reader, key: Key) -> bool:
-        """Whether a snapshot has an object, its candidates and what selection says of them as people are shown them."""
-        shown, only = self.scenes.reader, {"scene_id": [key[0]], "instance_id": [key[1]]}
+        """True if a snapshot has an object, its candidates and their selection as people are shown them."""
+        only = {"scene_id": [key[0]], "instance_id": [key[1]]}
         return all(
-            shown.files(table) == reader.files(table) or shown.matching(table, only).equals(reader.matching(table, only))
-            for table in ("instances", "candidates", "selections")
+            self._shown_files[table] == reader.files(table) or self._shown(table, key).equals(reader.matching(table, only))
+            for table in COMPARED
         )
+
+    def _shown(self, table: str, key: Key) -> pa.Table:
+        """Rows of an object as people are shown them."""
+        rows = self._shown_rows[table]
+        is_of = pc.and_(pc.equal(rows.column("scene_id"), key[0]), pc.equal(rows.column("instance_id"), key[1]))
+        return rows.filter(is_of)
 
     def by_asset(self, key: Key, values: Mapping[str, Any]) -> dict[str, Any]:
         """What somebody sets for an object, candidates by asset: another snapshot may have others in the slots that are shown."""
@@ -201,8 +251,8 @@ class ServedBatch:
         from tasks.geometry.meshes import load_glb
         from tasks.stats.thumbnails import object_thumbnail
 
-        asset = self.assets[name.removesuffix(".jpg")] if name.endswith(".jpg") else self.assets[""]
         with self._drawing:  # each is drawn once, and drawing is not safe for several threads
+            asset = self.assets[name.removesuffix(".jpg")] if name.endswith(".jpg") else self.assets[""]
             if name not in self._thumbnails:
                 self._thumbnails[name] = object_thumbnail(load_glb(self.lake.blobs[asset.mesh_blob], f"{asset.name}.glb"))
             return self._thumbnails[name]

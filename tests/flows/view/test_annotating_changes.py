@@ -82,6 +82,7 @@ def test_an_answer_is_taken_back_whatever_changed(desk: Desk) -> None:
     assert ada.post(f"/api/answers/{key}", json={"withdrawn": True}).json()["revision"] == 2
 
 
+@pytest.mark.usefixtures("own_machine")
 def test_what_was_erased_does_not_come_back(desk: Desk) -> None:
     ada, key = desk.client("ada"), desk.own("ada")
     scene = key.rpartition("/")[0]

@@ -201,6 +201,7 @@ def test_a_person_who_answers_and_reviews_is_one() -> None:
             roles_of(["ada"], [name])
 
 
+@pytest.mark.usefixtures("own_machine")
 def test_an_erased_scene_leaves_nothing_in_the_drafts(tmp_path: Path) -> None:
     lake = asked_lake(tmp_path)
     folder = drafts_folder(lake)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
 import os
 import re
 import shutil
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +24,7 @@ from hypothesis import strategies as st
 
 from flows.cli import cli
 from flows.scans.erasure import erase_from_caches
+from flows.scans.mirror import facts_of
 from schemas.errors import InputError
 from schemas.runs import StageRun
 from schemas.tables import TABLES
@@ -33,12 +36,13 @@ from warehouse.lake import Lake
 from warehouse.release import make_release, releases
 from warehouse.sharing.writer import new_token, this_writer
 from warehouse.tables.digest import digests
+from warehouse.upkeep import erasure
 from warehouse.upkeep.erasure import erase
 from warehouse.upkeep.erasure.proof import search
 from warehouse.upkeep.erasure.traces import Traces, traces_of
 from warehouse.upkeep.inspection import inspect
 
-pytestmark = pytest.mark.whole
+pytestmark = [pytest.mark.whole, pytest.mark.usefixtures("own_machine")]
 
 SCENES = [f"demo/scene{number:04d}_00" for number in range(3)]
 HOME = SCENES[1]
@@ -357,6 +361,14 @@ def test_traces_in_texts_are_those_of_an_independent_reading(before: str, after:
         assert text[start:end] in traces.redacted(text) or covers or traces.redacted(text) != text
 
 
+@given(before=st.text(), after=st.text(st.sampled_from(' "./\n'), max_size=3), ascii=st.booleans())
+def test_names_are_found_behind_every_escape_of_json(before: str, after: str, ascii: bool) -> None:
+    traces = traces_of("a/s1_00", ["a/s1_00"], [])
+    text = f"{before}a/s1_00{after}"
+    if traces.in_text(text):
+        assert traces.in_text(json.dumps(text, ensure_ascii=ascii))
+
+
 def test_common_words_are_no_traces() -> None:
     """A scan may be called `kitchen`; other rows may say so, too."""
     traces = traces_of("house/kitchen", ["house/kitchen"], ["house/bedroom"])
@@ -368,7 +380,7 @@ def test_common_words_are_no_traces() -> None:
     assert not telling.in_text("/data/scene0707_01_vh_clean_2.ply")
 
 
-@pytest.mark.parametrize("pack", ["plain", "gzip", "zip", "parquet", "nested", "dictionary", "name", "duckdb"])
+@pytest.mark.parametrize("pack", ["plain", "gzip", "zip", "parquet", "nested", "dictionary", "name", "duckdb", "sqlite"])
 def test_the_search_looks_into_everything(tmp_path: Path, pack: str) -> None:
     import gzip
     import zipfile
@@ -389,6 +401,14 @@ def test_the_search_looks_into_everything(tmp_path: Path, pack: str) -> None:
     elif pack == "duckdb":
         with duckdb.connect(str(file)) as connection:
             connection.execute(f"CREATE TABLE t AS SELECT '{word}' || range AS x FROM range(5000)")
+    elif pack == "sqlite":
+        # A text that is longer than a page: no run of bytes of the file holds all of the name.
+        with contextlib.closing(sqlite3.connect(file)) as connection:
+            connection.execute("PRAGMA page_size = 512")
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute("CREATE TABLE t (x TEXT)")
+            connection.executemany("INSERT INTO t VALUES (?)", [("-" * (number % 512) + word,) for number in range(2048)])
+            connection.commit()
     elif pack == "name":
         file.write_bytes(b"")
     else:
@@ -422,6 +442,57 @@ def test_the_machines_caches_forget(tmp_path: Path) -> None:
     assert erase_from_caches(traces, [gone], tmp_path / "none") == 0
 
 
+def kept(lake: Lake) -> list[Any]:
+    """The snapshots that are there, by what they say, and the releases."""
+    rows = [(row.snapshot_id, row.note, seen(lake, row.snapshot_id)) for row in lake.snapshot().snapshots]
+    return [rows, [(release.name, release.snapshot_id, release.notes, len(release.erased_at)) for release in releases(lake)]]
+
+
+@pytest.mark.parametrize(
+    ("step", "others"),
+    [
+        ("_remove_staged", "idle"), ("_put_in_force", "idle"), ("_put_in_force", "commit"), ("_put_in_force", "release"),
+        ("_remove_blobs", "idle"), ("final", "commit"),
+    ],
+)  # fmt: skip
+def test_a_repeated_erasure_keeps_the_snapshots_of_an_undisturbed_one(
+    filled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, others: str
+) -> None:
+    """Others may commit or release between the two attempts, as they could after an undisturbed one."""
+    lakes = []
+    for name in ("killed", "undisturbed"):
+        shutil.copytree(filled, tmp_path / name)
+        lakes.append(Lake.open(tmp_path / name))
+    killed, undisturbed = lakes
+
+    def die(*arguments: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        if step != "final":
+            real = getattr(erasure._Work, step)
+
+            def then_die(*arguments: Any) -> None:
+                real(*arguments)
+                die()
+
+            patch.setattr(erasure._Work, step, then_die)
+        with pytest.raises(KeyboardInterrupt):
+            erase(killed, HOME, elsewhere=die)
+    erase(undisturbed, HOME)
+    for lake in lakes if others != "idle" else ():
+        if others == "commit":
+            lake.stage_rows(stage_run(SCENES[0], "exports", fingerprint("g"), at=70, outcome="failed", error="full", error_kind="input"))
+            lake.commit("meanwhile")
+        else:
+            make_release(lake, "v2")
+    done = erase(killed, HOME)
+    assert done.proof is not None
+    assert done.proof.hits == ()
+    assert kept(killed) == kept(undisturbed)
+    assert inspect(killed).findings == ()
+
+
 def kills(folder: Path, filled: Path, *arguments: str) -> list[dict[str, Any]]:
     command = [sys.executable, "-m", "tests.warehouse.upkeep.upkeep_kills", *arguments, str(filled), str(folder)]
     answer = subprocess.run(
@@ -442,6 +513,7 @@ def test_an_erasure_that_dies_at_any_step_is_finished_by_the_next(filled: Path, 
         assert result["code"] == 9, result
         assert result["before"] in (undisturbed["first"], undisturbed["after"]), f"step {result['step']}: all of the scene, or nothing"
         assert result["after"] == undisturbed["after"], f"step {result['step']}"
+        assert result["kept"] == undisturbed["kept"], f"step {result['step']}: another snapshot was dropped"
         assert result["hits"] == 0, result
         assert result["findings"] == [], result
     states = [result["before"] == undisturbed["after"] for result in results[:-1]]
@@ -455,3 +527,38 @@ def test_snapshots_say_nothing_of_the_scene(lake: Lake) -> None:
     rows = [dataclasses.asdict(row) for row in lake.snapshot().snapshots]
     assert HOME not in json.dumps(rows, default=str)
     assert done.releases == ("v1",)
+
+
+NESTED = "[" * 200_000
+
+
+@pytest.mark.parametrize("damage", [NESTED, f'{{"scan": {NESTED}', "[1]", "{", '{"scene": 3, "files": [1]}', "\\xff"])
+def test_damaged_records_of_caches_stop_no_erasure(tmp_path: Path, damage: str) -> None:
+    """A record that cannot be read may be about the scene: it goes with its version, and is made again when it is needed."""
+    versions = tmp_path / "scans" / "store" / "versions"
+    for name, text in (("a-1", damage), ("b-2", json.dumps({"scene": SCENES[0], "scan": "x", "content": "x", "files": {}}))):
+        (versions / name / "content").mkdir(parents=True)
+        (versions / f"{name}.json").write_text(text)
+    (tmp_path / "file_hashes.json").write_text(damage)
+    is_record = damage.startswith('{"scene"')
+    assert facts_of(versions / "a-1.json") == (json.loads(damage) if is_record else {})
+    assert facts_of(versions / "none.json") == {}
+    erase_from_caches(traces_of(HOME, [HOME], SCENES), [], tmp_path)
+    assert sorted(path.name for path in versions.iterdir()) == (["a-1", "a-1.json"] if is_record else []) + ["b-2", "b-2.json"]
+    assert (tmp_path / "file_hashes.json").exists() == is_record
+
+
+def test_temporary_folders_that_tell_of_the_scene_are_found_and_dead_ones_go(lake: Lake, own_machine: Path) -> None:
+    places = own_machine / "tmp" / "metascenes"
+    dead, living, strange = places / f"{this_writer().machine}-999999-1-1", places / new_token(), own_machine / "tmp" / "other"
+    for place in (dead, living, strange):
+        place.mkdir(parents=True)
+        (place / "mesh.txt").write_text(f"of {HOME}")
+    command = ["lake", "erase", HOME, "--yes", "--lake", lake.address, "--json"]
+    answer = CliRunner().invoke(cli, command)
+    assert answer.exit_code == 1
+    assert [hit["path"] for hit in json.loads(answer.output)["proof"]["hits"]] == [str(living / "mesh.txt")]
+    assert [place.exists() for place in (dead, living, strange)] == [False, True, True], "folders of others are not looked at"
+    shutil.rmtree(living)
+    answer = CliRunner().invoke(cli, command)
+    assert (answer.exit_code, json.loads(answer.output)["proof"]["hits"]) == (0, [])

@@ -80,6 +80,12 @@ def _seen(address: Path) -> Any:
     return digests(lake.snapshot()) if lake.exists else None
 
 
+def _kept(address: Path) -> list[Any]:
+    """Id, note and digests of every snapshot that is kept."""
+    lake = Lake.open(address)
+    return [(row.snapshot_id, row.note, digests(lake.snapshot(row.snapshot_id))) for row in lake.snapshot().snapshots]
+
+
 def main(command: list[str], source: Path, folder: Path) -> None:
     """See the module."""
     copy = folder / "lake"
@@ -98,7 +104,8 @@ def main(command: list[str], source: Path, folder: Path) -> None:
         done = _work(command, copy, folder)()
         proof = getattr(done, "proof", None)
         findings = [str(finding) for finding in inspect(Lake.open(looked_at)).findings]
-        written("after", {"seen": _seen(looked_at), "hits": len(proof.hits) if proof else 0, "findings": findings})
+        found = {"seen": _seen(looked_at), "kept": _kept(looked_at) if command[0] == "erase" else []}
+        written("after", found | {"hits": len(proof.hits) if proof else 0, "findings": findings})
 
     def tried(step: int) -> dict[str, Any]:
         shutil.rmtree(folder, ignore_errors=True)
@@ -109,7 +116,7 @@ def main(command: list[str], source: Path, folder: Path) -> None:
         read = {name: json.loads((folder / name).read_text()) for name in ("first", "before", "after")}
         after = read.pop("after")
         return {"step": step, "code": code if ends == [0, 0] else ends, "after": after["seen"]} | read | {
-            "hits": after["hits"], "findings": after["findings"],
+            "hits": after["hits"], "findings": after["findings"], "kept": after["kept"],
         }  # fmt: skip
 
     whole = tried(0)

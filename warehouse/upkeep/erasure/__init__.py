@@ -104,6 +104,8 @@ def erase(
             if work.is_unknown:
                 proof = search(lake.storage, work.plan.traces, advance)
                 if not proof.hits:
+                    # An erasure before may have found these in use, or they are of a lake that was erased elsewhere.
+                    elsewhere(work.plan.traces, frozenset())
                     work.remove_unnamed_blobs()  # a vacuum may have taken away what said whose they are
                     return work.result(proof)
             work.carry_out(advance, elsewhere)
@@ -117,7 +119,9 @@ class _Work:
         self._lake, self._scene, self._rows, self._lease = lake, scene_id, rows, lease
         self._every = lake.snapshot().snapshots
         named = {release.snapshot_id for release in released(lake.storage)}
-        self._kept = [row for row in self._every if row is self._every[-1] or row.snapshot_id in named]
+        if begun is not None:
+            named.add(begun.last)
+        self._kept = [row for row in self._every if row is self._every[-1] or row.snapshot_id in named or _is_marker(row, begun)]
         self._going = tuple(row.snapshot_id for row in self._every if row not in self._kept)
         self._staged = [staged_run for staged_run in lake.staging.runs() if scene_id in (staged_run.run.scene_id, base_of(staged_run.run))]
         self._staged_runs = len(self._staged)
@@ -206,7 +210,8 @@ class _Work:
         blobs = self._rows.blobs() | self._staged_blobs()
         assets = self._rows.shared_keys("assets", alone=False)
         traces = traces_of(self._scene, own_rooms, other_names)
-        fresh = ErasurePlan(self._scene, now_utc(), traces, frozenset(blobs), frozenset(assets), frozenset(releases))
+        last = self._every[-1].snapshot_id if self._every else 0
+        fresh = ErasurePlan(self._scene, now_utc(), traces, frozenset(blobs), frozenset(assets), frozenset(releases), last)
         return begun | fresh if begun is not None else fresh
 
     def _files_at(self, snapshot: Snapshot) -> dict[str, list[str]]:
@@ -250,8 +255,8 @@ class _Work:
         marker = dataclasses.replace(rows[-1], snapshot_id=rows[-1].snapshot_id + 1, created_at=now_utc(), note=NOTE)
         commit = Commit(self._lake.tables, self._lake.staging, self._lease)
         commit.remove_adopted()
-        is_said = rows[-1].note == NOTE and rows[-1].created_at >= self.plan.started_at  # by a run that was killed later
-        commit.rewrite_snapshots(rows if is_said else [*rows, marker])
+        has_marker = any(_is_marker(row, self.plan) for row in rows)  # of an attempt that was killed later
+        commit.rewrite_snapshots(rows if has_marker else [*rows, marker])
 
     def _new_versions(self, table: str, at: Sequence[Mapping[str, Sequence[str]]]) -> dict[int, int]:
         """Write a table's versions without the scene, one after another; their numbers by index of the snapshot."""
@@ -335,6 +340,11 @@ class _Work:
                 self._lake.tables.read(TABLES["assets"], files, ["asset_id"], {"asset_id": self.plan.assets}).column(0).to_pylist()
             )
         return staying
+
+
+def _is_marker(row: Snapshot, plan: ErasurePlan | None) -> bool:
+    """True if an attempt at this very erasure added the snapshot."""
+    return plan is not None and row.note == NOTE and row.snapshot_id > plan.last
 
 
 def _trained_on(lake: Lake, scene_id: str) -> tuple[str, ...]:

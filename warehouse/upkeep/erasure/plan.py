@@ -16,7 +16,12 @@ PATH = "erasure.json"
 
 @dataclasses.dataclass(frozen=True)
 class ErasurePlan:
-    """An erasure under way: the scene, since when, its traces, and the blobs, asset ids and releases that name it."""
+    """An erasure under way.
+
+    `started_at`: beginning of the first attempt. `blobs`, `assets`, `releases`: those that name the scene.
+    `last`: id of the last snapshot at the first attempt, which stays; 0 if the lake had none. Without it a repetition
+    would take the snapshot that this very erasure added for the last one, and drop the one before.
+    """
 
     scene_id: str
     started_at: datetime
@@ -24,19 +29,20 @@ class ErasurePlan:
     blobs: frozenset[str]
     assets: frozenset[str]
     releases: frozenset[str]
+    last: int = 0
 
     def __or__(self, other: ErasurePlan) -> ErasurePlan:
         """Both, as begun by this one."""
         traces = self.traces | other.traces
         sets = [getattr(self, name) | getattr(other, name) for name in ("blobs", "assets", "releases")]
-        return ErasurePlan(self.scene_id, self.started_at, traces, *sets)
+        return ErasurePlan(self.scene_id, self.started_at, traces, *sets, last=self.last)
 
     def write(self, storage: Storage) -> None:
         """Keep the plan in the lake."""
         fields = {
             "scene_id": self.scene_id, "started_at": self.started_at.isoformat(),
             "names": sorted(self.traces.names), "spared": sorted(self.traces.spared),
-            "blobs": sorted(self.blobs), "assets": sorted(self.assets), "releases": sorted(self.releases),
+            "blobs": sorted(self.blobs), "assets": sorted(self.assets), "releases": sorted(self.releases), "last": self.last,
         }  # fmt: skip
         storage.write(PATH, json.dumps(fields).encode())
 
@@ -53,10 +59,15 @@ def read_plan(storage: Storage) -> ErasurePlan | None:
         return None
     try:
         fields = json_value(data)
+        if not isinstance(fields, dict):
+            raise TypeError(fields)
+        last = fields.get("last", 0)  # an earlier version wrote none
+        if not isinstance(last, int):
+            raise TypeError(last)
         sets = {name: frozenset(map(str, fields[name])) for name in ("names", "spared", "blobs", "assets", "releases")}
         begun = datetime.fromisoformat(fields["started_at"])
         traces = Traces(sets["names"], sets["spared"])
-        return ErasurePlan(str(fields["scene_id"]), begun, traces, sets["blobs"], sets["assets"], sets["releases"])
+        return ErasurePlan(str(fields["scene_id"]), begun, traces, sets["blobs"], sets["assets"], sets["releases"], last)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{storage.address}/{PATH}", "", f"cannot be read ({type(error).__name__})", "remove it and erase again"

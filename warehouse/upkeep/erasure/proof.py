@@ -1,10 +1,15 @@
-"""The proof of an erasure: every byte of every file of the lake is searched, compressed ones unpacked."""
+"""The proof of an erasure: every byte of every file of the lake is searched, compressed ones unpacked.
+
+Files outside of the lake (those of Prefect, temporary ones) are searched by the same functions.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import gzip
 import io
+import sqlite3
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -19,6 +24,12 @@ from warehouse.storage.files import Storage
 from warehouse.upkeep.erasure.traces import Traces
 
 _SHOWN = 3
+
+_CHUNK_BYTES = 2**24
+"""Bytes of a large file that are searched at a time."""
+
+_OVERLAP_BYTES = 4096
+"""Bytes that are searched again with the next chunk: no spelling of a name is longer."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,12 +51,16 @@ class Proof:
     rows: int
     hits: tuple[Hit, ...]
 
+    def __or__(self, other: Proof) -> Proof:
+        """Both searches as one."""
+        return Proof(self.files + other.files, self.bytes + other.bytes, self.rows + other.rows, self.hits + other.hits)
+
 
 def search(storage: Storage, traces: Traces, advance: Callable[[str], None] = lambda path: None, folder: str = "") -> Proof:
     """Look for traces in the names and the contents of all files (below `folder`).
 
-    Parquet files are decoded as well (their pages are compressed), and so are gzip and zip files and the tables and
-    views of `.duckdb` files.
+    Parquet files are decoded as well (their pages are compressed), and so are gzip and zip files, the tables and
+    views of `.duckdb` files, and the tables of SQLite files.
     """
     files = size = rows = 0
     hits: list[Hit] = []
@@ -64,6 +79,26 @@ def search(storage: Storage, traces: Traces, advance: Callable[[str], None] = la
 def tells(path: str, data: bytes, traces: Traces) -> bool:
     """Whether a file's name or content tells of the scene."""
     return bool(_looked_through(path, data, traces)[1])
+
+
+def hits_in(path: str, data: bytes, traces: Traces, place: str = "contents") -> list[Hit]:
+    """Hits in a file of this machine, by its path and content."""
+    hits = _looked_through(path, data, traces)[1]
+    return [dataclasses.replace(hit, place=place) if hit.place == "contents" else hit for hit in hits]
+
+
+def search_file(path: Path, traces: Traces) -> list[Hit]:
+    """Hits in the bytes of a file of any size, without unpacking it; none if there is no such file."""
+    traced: list[str] = []
+    try:
+        with path.open("rb") as file:
+            before = b""
+            while chunk := file.read(_CHUNK_BYTES):
+                traced += traces.in_bytes(before + chunk)
+                before = chunk[-_OVERLAP_BYTES:]
+    except FileNotFoundError:
+        return []
+    return [_hit(str(path), "contents", traced)] if traced else []
 
 
 def _looked_through(path: str, data: bytes, traces: Traces) -> tuple[int, list[Hit]]:
@@ -101,6 +136,22 @@ def _unpacked(path: str, data: bytes) -> Iterator[tuple[str, bytes]]:
             return
     elif data[8:12] == b"DUCK":
         yield from _from_duckdb(data)
+    elif data[:16] == b"SQLite format 3\0":
+        yield from _from_sqlite(data)
+
+
+def _from_sqlite(data: bytes) -> Iterator[tuple[str, bytes]]:
+    """Rows of an SQLite file: a long text is spread over pages that need not follow each other."""
+    with contextlib.closing(sqlite3.connect(":memory:")) as connection:
+        connection.text_factory = bytes
+        try:
+            # A copy in memory has no write-ahead log, which bytes 18 and 19 of the header would ask for.
+            connection.deserialize(data[:18] + b"\x01\x01" + data[20:])
+            for (name,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'").fetchall():
+                for row in connection.execute(f"SELECT * FROM {quoted(name.decode())}"):
+                    yield f"table {name.decode()}", b"\n".join(value for value in row if isinstance(value, bytes))
+        except (sqlite3.Error, UnicodeDecodeError):
+            return  # damaged; its bytes were searched
 
 
 def _from_duckdb(data: bytes) -> Iterator[tuple[str, bytes]]:

@@ -12,6 +12,9 @@ from warehouse.tables.staging import quoted_scene
 ERASED = "erased"
 """What stands in the place of a name in texts that other rows have to keep."""
 
+_START = r"(?:(?<![A-Za-z0-9])|(?<=\\[bfnrt])|(?<=\\u[0-9A-Fa-f]{4}))"
+"""No letter or digit stands before a name, unless it ends an escape of JSON: the n of a line break is no part of a word."""
+
 _HASH = rb"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])"
 
 
@@ -20,7 +23,8 @@ class Traces:
     """Names and hashes to look for.
 
     `names` are spellings, `spared` names of other scenes that hold one of them, `hashes` 64 hex digits each. A name
-    counts where no letter or digit stands right before or after it and it is no part of a spared name.
+    counts where no letter or digit stands right before or after it and it is no part of a spared name. Line breaks and
+    other escapes of JSON do not count as letters.
     """
 
     names: frozenset[str]
@@ -104,4 +108,4 @@ def traces_of(scene_id: str, rooms: Iterable[str], other_names: Iterable[str]) -
 def _alternatives(names: Iterable[str]) -> str:
     """A pattern of names, the longest first."""
     ordered = sorted(names, key=lambda name: (-len(name), name))
-    return f"(?<![A-Za-z0-9])(?:{'|'.join(map(re.escape, ordered))})(?![A-Za-z0-9])"
+    return f"{_START}(?:{'|'.join(map(re.escape, ordered))})(?![A-Za-z0-9])"

@@ -1,0 +1,222 @@
+"""Erasure from Prefect: the rows of its local database, the files of its home, and the remains on servers elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import contextlib
+import dataclasses
+import os
+import re
+import urllib.parse
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flows.server.access import prefect_home
+from flows.server.records import KEPT_TABLES, PrefectDatabase
+from warehouse.questions.quoting import listed, literal
+from warehouse.upkeep.erasure import Traces
+from warehouse.upkeep.erasure.proof import Hit, Proof, hits_in, search_file
+from warehouse.upkeep.erasure.traces import ERASED
+
+if TYPE_CHECKING:
+    from prefect.settings import Settings
+
+RESULT_FOLDERS = ("storage", "dlq")
+"""Folders of Prefect's home whose files are records of runs, so that those of the scene are removed."""
+
+_LOOPBACK = {"127.0.0.1", "localhost", "::1"}
+_BASE64 = re.compile(rb"[A-Za-z0-9+/]{24,}={0,2}")
+
+
+@dataclasses.dataclass(frozen=True)
+class PrefectErasure:
+    """Result of an erasure from Prefect.
+
+    `database`: the local database, None if there is none. `deleted`, `redacted`: rows, or all that tell on a dry run.
+    `files`: removed files of its home. `remains`: lines that say where records may remain, and how to remove them.
+    """
+
+    database: str | None = None
+    deleted: int = 0
+    redacted: int = 0
+    files: int = 0
+    remains: tuple[str, ...] = ()
+
+    @classmethod
+    def total(cls, parts: Sequence[PrefectErasure]) -> PrefectErasure:
+        """Several erasures of one command as one."""
+        counts = (sum(getattr(part, name) for part in parts) for name in ("deleted", "redacted", "files"))
+        lines = dict.fromkeys(line for part in parts for line in part.remains)
+        return cls(parts[-1].database if parts else None, *counts, tuple(lines))
+
+
+def erase_from_prefect(traces: Traces, dry_run: bool = False) -> PrefectErasure:
+    """Remove the scene from Prefect's local database and home.
+
+    Raises:
+        LakeError: another process holds the database for too long.
+    """
+    if not _has_prefect():
+        return PrefectErasure()
+    places = _Places.of_settings()
+    deleted = redacted = 0
+    if places.database is not None:
+        with contextlib.closing(PrefectDatabase(places.database, traces)) as database:
+            if dry_run:
+                deleted = sum(database.count().values())
+            else:
+                deleted, redacted = database.erase()
+                if deleted or redacted or any(search_file(file, traces) for file in places.database_files):
+                    database.shrink()
+    result_files = [path for path in places.files() if places.is_record(path) and _file_hits(path, traces)]
+    for path in result_files if not dry_run else ():
+        path.unlink(missing_ok=True)
+    name = None if places.database is None else str(places.database)
+    return PrefectErasure(name, deleted, redacted, len(result_files), remaining_lines(places.api, places.database_url, traces))
+
+
+def search_prefect(traces: Traces) -> Proof:
+    """Look for the scene in Prefect's local database, row by row and in its bytes, and in the files of its home."""
+    if not _has_prefect():
+        return Proof(0, 0, 0, ())
+    places = _Places.of_settings()
+    files = size = rows = 0
+    hits: list[Hit] = []
+    if places.database is not None:
+        with contextlib.closing(PrefectDatabase(places.database, traces)) as database:
+            rows = database.rows()
+            hits += [Hit(str(places.database), f"table {table}", count, ()) for table, count in database.count().items()]
+    for path in places.files():
+        with contextlib.suppress(FileNotFoundError):
+            found = [*search_file(path, traces)] if path in places.database_files else _file_hits(path, traces)
+            files, size, hits = files + 1, size + path.stat().st_size, [*hits, *found]
+    return Proof(files, size, rows, tuple(hits))
+
+
+def _has_prefect() -> bool:
+    """True if Prefect was ever used here: it makes its home when it is imported. Importing it takes seconds."""
+    return prefect_home().exists() or any(name.startswith("PREFECT_") and name != "PREFECT_HOME" for name in os.environ)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Places:
+    """Where Prefect keeps records: its home, result storage and database, and the server that its clients ask."""
+
+    home: Path
+    storage: Path
+    database: Path | None
+    database_url: str
+    api: str
+
+    @classmethod
+    def of_settings(cls) -> _Places:
+        """Read environment and profile as Prefect does, again at each call."""
+        from prefect.settings import Settings
+
+        settings: Settings = Settings()
+        url = settings.server.database.connection_url
+        address = url.get_secret_value() if url is not None else ""
+        home = Path(settings.home).expanduser()
+        storage = Path(settings.results.local_storage_path or home / "storage").expanduser()
+        return cls(home, storage, _sqlite_file(address), address, str(settings.api.url or ""))
+
+    @property
+    def database_files(self) -> tuple[Path, ...]:
+        """The database, its write-ahead log and its journal."""
+        file = self.database
+        return () if file is None else tuple(file.with_name(file.name + end) for end in ("", "-wal", "-journal"))
+
+    def files(self) -> list[Path]:
+        """All files of home, result storage and database."""
+        found = {path for folder in (self.home, self.storage) for path in folder.rglob("*")} | set(self.database_files)
+        return sorted(path for path in found if path.is_file() and not path.is_symlink())
+
+    def is_record(self, path: Path) -> bool:
+        """True if a file is a record of runs that can be removed."""
+        return any(path.is_relative_to(folder) for folder in (self.storage, *(self.home / name for name in RESULT_FOLDERS)))
+
+
+def remaining_lines(api: str, database_url: str, traces: Traces) -> tuple[str, ...]:
+    """Lines about records that this machine cannot remove, with the commands that do.
+
+    Args:
+        api: address of the server that clients ask; empty for one that each run starts itself.
+        database_url: connection URL of Prefect's database; its user and password are not repeated.
+        traces: names of the scene.
+    """
+    host = urllib.parse.urlsplit(api).hostname or ""
+    is_sqlite = database_url.startswith("sqlite")
+    if (not host or host in _LOOPBACK) and is_sqlite:
+        return ()
+    where = f"the Prefect server at {api}" if host and host not in _LOOPBACK else "the Prefect database that is named"
+    if not is_sqlite:
+        place = urllib.parse.urlsplit(database_url)
+        where += f" (database {place.path.lstrip('/')} on {place.hostname or 'this machine'})"
+    lines = [
+        f"not reached: {where} keeps names of task runs, logs, events and artifacts of the scene",
+        "if it is on SQLite: give this command where that file lies, with PREFECT_API_DATABASE_CONNECTION_URL set",
+        f"if it is on PostgreSQL: psql DATABASE -c {_shell_quoted(postgres_statement(traces))}",
+    ]
+    if host and host not in _LOOPBACK:
+        names = " or ".join(traces.cores)
+        lines.append(
+            f"if you only have its API: list task runs by POST {api}/task_runs/filter "
+            f'{{"task_runs": {{"name": {{"like_": "{traces.cores[0]}"}}}}}} and send DELETE {api}/task_runs/ID for each; '
+            f"`prefect flow-run delete ID` and `prefect artifact delete KEY` for those that name {names}; "
+            "its events go when the server's retention ends"
+        )
+    return tuple(lines)
+
+
+def postgres_statement(traces: Traces) -> str:
+    """SQL that removes the scene's rows from every table of Prefect in PostgreSQL, and redacts rows that others need."""
+    kept = listed(sorted({*KEPT_TABLES, "flow", "flow_run", "block_type", "block_schema"}))
+    own, other = (literal(_pattern(names)) for names in (traces.names, traces.spared))
+    # Names of other scenes that hold a name of this one do not count.
+    condition = "regexp_replace(%I::text, %L, %L, %L) ~ %L"
+    return (
+        "DO $$ DECLARE c record; BEGIN "
+        "FOR c IN SELECT table_name t, column_name f, data_type d FROM information_schema.columns JOIN information_schema.tables "
+        "USING (table_schema, table_name) WHERE table_schema = current_schema() AND table_type = 'BASE TABLE' "
+        "AND data_type IN ('text', 'character varying', 'json', 'jsonb') LOOP "
+        f"IF c.t IN ({kept}) THEN EXECUTE format("
+        f"'UPDATE %I SET %I = regexp_replace(%I::text, %L, %L, %L)::%s WHERE {condition}', "
+        f"c.t, c.f, c.f, {own}, {literal(ERASED)}, 'g', c.d, c.f, {other}, '', 'g', {own}); "
+        f"ELSE EXECUTE format('DELETE FROM %I WHERE {condition}', c.t, c.f, {other}, '', 'g', {own}); END IF; "
+        "END LOOP; END $$"
+    )
+
+
+def _pattern(names: Collection[str]) -> str:
+    """A regular expression of PostgreSQL for names that stand alone; one that matches nothing without names."""
+    ordered = sorted(names, key=lambda name: (-len(name), name))
+    start = r"((?<![A-Za-z0-9])|(?<=\\[bfnrt])|(?<=\\u[0-9A-Fa-f]{4}))"  # as in Traces: an escape of JSON is no letter
+    return f"{start}({'|'.join(map(re.escape, ordered))})(?![A-Za-z0-9])" if ordered else "(?!)"
+
+
+def _sqlite_file(url: str) -> Path | None:
+    """The file that a connection URL names; None for other databases, for one in memory, and if there is no such file."""
+    kind, _, name = url.partition(":///")
+    file = Path(urllib.parse.unquote(name.removeprefix("file:").partition("?")[0]))
+    return file if kind.startswith("sqlite") and name and ":memory:" not in name and file.is_file() else None
+
+
+def _file_hits(path: Path, traces: Traces) -> list[Hit]:
+    """Hits in a file's name and content; results of runs hold their values in base64."""
+    data = path.read_bytes()
+    hits = hits_in(str(path), data, traces)
+    for decoded in _decoded(data):
+        hits += hits_in(str(path), decoded, traces, place="base64")
+    return hits
+
+
+def _decoded(data: bytes) -> Iterator[bytes]:
+    for match in _BASE64.finditer(data):
+        with contextlib.suppress(binascii.Error):
+            yield base64.b64decode(match[0] + b"=" * (-len(match[0]) % 4))
+
+
+def _shell_quoted(text: str) -> str:
+    return "'" + text.replace("'", "'\\''") + "'"
