@@ -86,8 +86,8 @@ class _Stage:
         return occurrences[name]
 
     def _specs(self, site: _Site) -> list[tuple[Any, Any]]:
-        found = ((layer, layer.GetPrimAtPath(site.path)) for layer in self._stack(site.stack))
-        return [(layer, spec) for layer, spec in found if spec is not None]
+        pairs = ((layer, layer.GetPrimAtPath(site.path)) for layer in self._stack(site.stack))
+        return [(layer, spec) for layer, spec in pairs if spec is not None]
 
     def _count(self, sites: Sites, depth: int) -> int:
         """Prims at and below the prim that several sites make up together."""

@@ -287,7 +287,9 @@ def test_shared_tables_name_who_shares_them() -> None:
 OPENERS = {"read_text", "read_bytes", "load_mesh", "ZipFile", "from_xml_path"}
 OWN = {
     "schemas/files.py": "the one place",
-    "tasks/captions/vision_language.py": "prompts of the package",
+    "tasks/calls/prompts.py": "prompts of the package",
+    "flows/server/erasure.py": "files in Prefect's home",
+    "warehouse/upkeep/erasure/proof.py": "files in Prefect's home and temporary ones",
     "tasks/kernels/ahead.py": "kernels of the package",
     "flows/run/bounds.py": "the null device",
     "flows/server/access.py": "tokens of servers of this machine, in files of our own",

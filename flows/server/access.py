@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import json
 import os
 import secrets
 import stat
@@ -17,6 +16,8 @@ import urllib.parse
 from collections.abc import Awaitable, Callable, Iterable, Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
+
+from schemas.parsing import json_value
 
 SERVER_TOKEN = "PREFECT_SERVER_API_AUTH_STRING"
 """What a server asks for. A secret: it is handed on by the environment or a file of mode 0600, never by an argument."""
@@ -127,10 +128,10 @@ class TokenWatch:
 
     def _shows_token(self, text: str) -> bool:
         try:
-            said = json.loads(text)
-        except (ValueError, RecursionError):
+            message = json_value(text)
+        except ValueError:
             return False
-        token = said.get("token") if isinstance(said, dict) else None
+        token = message.get("token") if isinstance(message, dict) else None
         return isinstance(token, str) and secrets.compare_digest(token.encode(errors="replace"), self._token.encode())
 
 

@@ -292,8 +292,8 @@ class CountedErrors(logging.Filter):
             return True
         if str(count).rstrip("0") != "1":
             return False
-        said = f"{record.getMessage().strip()}{f': {kind.__name__}: {error}' if kind else ''}"
-        record.msg, record.args, record.exc_info, record.exc_text = f"{said} ({count} times so far)", (), None, None
+        text = f"{record.getMessage().strip()}{f': {kind.__name__}: {error}' if kind else ''}"
+        record.msg, record.args, record.exc_info, record.exc_text = f"{text} ({count} times so far)", (), None, None
         return True
 
 

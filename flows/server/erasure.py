@@ -90,8 +90,8 @@ def search_prefect(traces: Traces) -> Proof:
             hits += [Hit(str(places.database), f"table {table}", count, ()) for table, count in database.count().items()]
     for path in places.files():
         with contextlib.suppress(FileNotFoundError):
-            found = [*search_file(path, traces)] if path in places.database_files else _file_hits(path, traces)
-            files, size, hits = files + 1, size + path.stat().st_size, [*hits, *found]
+            file_hits = [*search_file(path, traces)] if path in places.database_files else _file_hits(path, traces)
+            files, size, hits = files + 1, size + path.stat().st_size, [*hits, *file_hits]
     return Proof(files, size, rows, tuple(hits))
 
 
@@ -130,8 +130,8 @@ class _Places:
 
     def files(self) -> list[Path]:
         """All files of home, result storage and database."""
-        found = {path for folder in (self.home, self.storage) for path in folder.rglob("*")} | set(self.database_files)
-        return sorted(path for path in found if path.is_file() and not path.is_symlink())
+        paths = {path for folder in (self.home, self.storage) for path in folder.rglob("*")} | set(self.database_files)
+        return sorted(path for path in paths if path.is_file() and not path.is_symlink())
 
     def is_record(self, path: Path) -> bool:
         """True if a file is a record of runs that can be removed."""

@@ -95,7 +95,7 @@ def _is_abandoned(name: str) -> bool:
 def _is_own_folder(path: Path) -> bool:
     """True if a path is a folder of this user, and not a link."""
     try:
-        found = path.lstat()
+        status = path.lstat()
     except OSError:
         return False
-    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid()

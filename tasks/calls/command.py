@@ -78,13 +78,13 @@ class CommandFailed(Exception):
 @dataclasses.dataclass(frozen=True)
 class Ending:
     """How a program ended. code: its exit code, None where its time was up. last: the last line of its standard error, '' for none.
-    limit_s: How long it might have taken [s]. said: end of its standard error."""
+    limit_s: How long it might have taken [s]. errors: end of its standard error."""
 
     code: int | None
     last: str
     seconds: float
     limit_s: float
-    said: str = ""
+    errors: str = ""
 
     @property
     def problem(self) -> str:
@@ -115,12 +115,12 @@ def run_apart(command: Sequence[str], folder: Path, timeout_s: float, more: Mapp
     if shutil.which(command[0]) is None:
         raise FileNotFoundError(errno.ENOENT, "there is no such program", command[0])
     theirs, ours = os.pipe()
-    with os.fdopen(ours, "wb", buffering=0) as lifeline, tempfile.TemporaryFile() as errors:
+    with os.fdopen(ours, "wb", buffering=0) as lifeline, tempfile.TemporaryFile() as error_file:
         guarded = [sys.executable, "-I", "-S", str(GUARD), str(theirs), *command]
         try:
             guard = subprocess.Popen(
                 guarded, cwd=folder, env=child_environment() | dict(more or {}), pass_fds=[theirs],
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True,
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=error_file, start_new_session=True,
             )  # fmt: skip
         finally:
             os.close(theirs)
@@ -132,13 +132,13 @@ def run_apart(command: Sequence[str], folder: Path, timeout_s: float, more: Mapp
             # Without the other end of its pipe, the guard ends all that is left.
             lifeline.close()
             guard.wait()
-        errors.seek(max(errors.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
-        said = errors.read().decode(errors="replace").strip()
-    if code == NOT_STARTED and said.startswith(NOT_STARTED_LINE):
-        number = int(said.removeprefix(NOT_STARTED_LINE))
+        error_file.seek(max(error_file.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
+        error_text = error_file.read().decode(errors="replace").strip()
+    if code == NOT_STARTED and error_text.startswith(NOT_STARTED_LINE):
+        number = int(error_text.removeprefix(NOT_STARTED_LINE))
         raise OSError(number, os.strerror(number), command[0])
-    last = cut(one_line(said.splitlines()[-1])) if said else ""
-    return Ending(code, last, time.monotonic() - clock, timeout_s, said)
+    last = cut(one_line(error_text.splitlines()[-1])) if error_text else ""
+    return Ending(code, last, time.monotonic() - clock, timeout_s, error_text)
 
 
 def run_command(command: Sequence[str], folder: Path, timeout_s: float) -> None:

@@ -68,15 +68,15 @@ def _become(words: list[str]) -> NoReturn:
 
 def _reap(child: int) -> int | None:
     """Take up ended processes below this one; the status of the program if it is among them."""
-    found = None
+    program_status = None
     with contextlib.suppress(ChildProcessError):
         while True:
             pid, status = os.waitpid(-1, os.WNOHANG)
             if pid == 0:
-                return found
+                return program_status
             if pid == child:
-                found = status
-    return found
+                program_status = status
+    return program_status
 
 
 def _end_all(child: int) -> None:
@@ -104,16 +104,16 @@ def _end_all(child: int) -> None:
 
 def _children() -> list[int]:
     """Process ids directly below this process; without /proc none is known."""
-    me, found = str(os.getpid()), []
+    own_pid, pids = str(os.getpid()), list[int]()
     try:
         names = os.listdir("/proc")
     except OSError:
         return []
     for name in filter(str.isdecimal, names):
         with contextlib.suppress(OSError), open(f"/proc/{name}/stat", "rb") as file:
-            if file.read().rpartition(b")")[2].split()[1].decode() == me:
-                found.append(int(name))
-    return found
+            if file.read().rpartition(b")")[2].split()[1].decode() == own_pid:
+                pids.append(int(name))
+    return pids
 
 
 def _end_as(status: int | None) -> NoReturn:

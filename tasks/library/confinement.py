@@ -57,7 +57,7 @@ def confined(task: str, path: Path, root: Path, name: str) -> Confined:
         if ending.code is None:
             raise InputError(name, "content", f"its reader takes more than {seconds} s", "simplify it")
         if ending.code:
-            problem = _death(ending.code, ending.said, seconds, memory)
+            problem = _death(ending.code, ending.errors, seconds, memory)
             raise InputError(name, "content", problem, "export it again, or simplify it")
         facts = json_value(read_file(folder / FACTS, name, BUDGET.text_bytes))
         if not isinstance(facts, dict):

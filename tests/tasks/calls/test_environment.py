@@ -157,7 +157,7 @@ def test_what_is_added_is_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("MY_STUFF", "secret")
     code = 'import os, sys; sys.exit(f\'{os.environ.get("MY_STUFF")} {os.environ["SEED"]} {os.environ["PATH"]}\')'
     ending = run_apart([sys.executable, "-c", code], tmp_path, 600.0, {"SEED": "7", "PATH": "/bin"})
-    assert ending.said == "None 7 /bin"
+    assert ending.errors == "None 7 /bin"
     assert "MY_STUFF" not in child_environment()
 
 
