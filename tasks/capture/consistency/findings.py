@@ -36,8 +36,8 @@ MIN_DEPTH_M, MAX_DEPTH_M = 0.1, 30.0
 NEAR_M, FAR_M = 0.8, 2.5
 """Without poses: readings of a room are not all nearer or all farther [m]."""
 
-CENTER = (0.25, 0.75)
-"""Principal point of an image in its size: lenses of phones and sensors lie within 0.45 to 0.55, those of crops farther off."""
+CENTER = (0.3, 0.7)
+"""Principal point of an image in its size: 0.45 to 0.55 for phones and sensors; 0.25 is that of images of half the size."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +97,8 @@ def _judged(
             raise InputError(statements.lens, "intrinsics", problem, _RESIZE)
         notes.append(f"{statements.lens}: intrinsics: {problem}; depth of its frames agrees on {share:.0%}")
     poses = pose_hypotheses(statements.described, statements.has_quaternions, statements.from_file)
-    units, lenses = unit_hypotheses(posed[0].depth_scale), lens_hypotheses(posed[0])
+    median = float(np.median(np.concatenate([view.points[:, 2] for view in views])))
+    units, lenses = unit_hypotheses(posed[0].depth_scale, MAX_DEPTH_M / median), lens_hypotheses(posed[0])
     judgments = [_judge(views, stated, hypothesis) for hypothesis in (*poses, *units, *lenses)]
     better = max((judgment for judgment in judgments if judgment.is_better), key=lambda judgment: judgment.share, default=None)
     if better is None:

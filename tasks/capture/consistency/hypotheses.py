@@ -57,10 +57,15 @@ def _reread(to_scan: Array, described: str, order: str, meaning: str, pose: Arra
     return to_scan @ as_described(own, meaning)
 
 
-def unit_hypotheses(scale: float) -> list[Hypothesis]:
-    """Other depth units than `scale` units per meter."""
-    others = [(units, name) for units, name in UNITS.items() if abs(units / scale - 1) > _SAME]
-    return [Hypothesis(f"{units:g} units per meter ({name})", depth_factor=scale / units) for units, name in others]
+def unit_hypotheses(scale: float, max_factor: float) -> list[Hypothesis]:
+    """Other depth units than `scale` units per meter, and positions of poses in other units than meters.
+
+    max_factor: largest factor that leaves depth possible; beyond it, positions are in a smaller unit.
+    """
+    others = [(scale / units, f"{units:g} units per meter ({name})") for units, name in UNITS.items() if abs(units / scale - 1) > _SAME]
+    found = [Hypothesis(words, depth_factor=factor) for factor, words in others if factor < max_factor]
+    smaller = [(100.0, "centimeters"), (1000.0, "millimeters")]
+    return found + [Hypothesis(f"positions of poses in {name}", depth_factor=factor) for factor, name in smaller if factor > max_factor]
 
 
 def lens_hypotheses(frame: FrameSource) -> list[Hypothesis]:
