@@ -135,7 +135,9 @@ def _flat(place: Path, premises: Premises | None) -> list[FrameFiles]:
     whole = {key: files for key, files in by_kind.items() if "color" in files}
     if not any("depth" in files for files in whole.values()):
         return []
-    return [FrameFiles(key, whole[key]["color"], whole[key].get("depth"), whole[key].get("pose")) for key in sorted(whole, key=natural_order)]
+    return [
+        FrameFiles(key, whole[key]["color"], whole[key].get("depth"), whole[key].get("pose")) for key in sorted(whole, key=natural_order)
+    ]
 
 
 def _by_stem(folder: Path, suffixes: tuple[str, ...], premises: Premises | None) -> dict[str, Path]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.consistency.hypotheses import USUAL, lens_hypotheses, pose_hypotheses, unit_hypotheses
-from tasks.capture.consistency.reprojection import Agreement, Hypothesis, View, agreement, telling_pairs, views_of
+from tasks.capture.consistency.reprojection import PairAgreement, Hypothesis, DepthSample, agreement, telling_pairs, views_of
 from tasks.capture.reading import FrameSource
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ def settled(frames: Sequence[FrameSource], statements: Statements) -> tuple[tupl
 
 
 def _judged(
-    frames: Sequence[FrameSource], posed: Sequence[FrameSource], views: Sequence[View], statements: Statements
+    frames: Sequence[FrameSource], posed: Sequence[FrameSource], views: Sequence[DepthSample], statements: Statements
 ) -> tuple[tuple[FrameSource, ...], list[str]]:
     """Frames and notes of a recording that has poses and depth; raises InputError."""
     stated = agreement(views)
@@ -137,7 +137,7 @@ class _Judgment:
     is_better: bool
 
 
-def _judge(views: Sequence[View], stated: Agreement, hypothesis: Hypothesis) -> _Judgment:
+def _judge(views: Sequence[DepthSample], stated: PairAgreement, hypothesis: Hypothesis) -> _Judgment:
     """Comparison of another reading with the stated one, on the pairs of views for which they differ."""
     other = agreement(views, hypothesis)
     pairs = telling_pairs(views, stated, other)
@@ -176,7 +176,7 @@ def _off_center(cx: float, cy: float, width: int, height: int) -> float:
     return max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5)) * 2
 
 
-def _check_unit(frame: FrameSource, views: Sequence[View], statements: Statements) -> None:
+def _check_unit(frame: FrameSource, views: Sequence[DepthSample], statements: Statements) -> None:
     """Raise InputError if depth cannot have its unit."""
     median = float(np.median(np.concatenate([view.points[:, 2] for view in views])))
     if not MIN_DEPTH_M <= median <= MAX_DEPTH_M:
@@ -187,7 +187,7 @@ def _check_unit(frame: FrameSource, views: Sequence[View], statements: Statement
 _LISTED = "1000 for millimeters, 5000 for TUM, 1 for meters"
 
 
-def _unit_note(frame: FrameSource, views: Sequence[View], statements: Statements) -> list[str]:
+def _unit_note(frame: FrameSource, views: Sequence[DepthSample], statements: Statements) -> list[str]:
     """A line on depth whose unit is doubtful, which nothing but its readings can tell without two poses."""
     low, high = np.quantile(np.concatenate([view.points[:, 2] for view in views]), [0.05, 0.95])
     is_doubtful = (high < NEAR_M and frame.depth_scale > 1000.0) or (low > FAR_M and frame.depth_scale <= 1000.0)

@@ -37,13 +37,13 @@ def pose_hypotheses(described: str, has_quaternions: bool, from_file: Array | No
     """
     to_scan = np.eye(4) if from_file is None else from_file
     is_first = quaternion_order(described) == REAL_FIRST
-    found = []
+    hypotheses = []
     for order in ("", REAL_LAST if is_first else REAL_FIRST) if has_quaternions else ("",):
         for meaning in CONVENTIONS:
             if order or convention_of(meaning) != convention_of(described):
                 words = order if order and meaning == USUAL else f"{order} {meaning}".strip()
-                found.append(Hypothesis(words, partial(_reread, to_scan, described, order, meaning)))
-    return found
+                hypotheses.append(Hypothesis(words, partial(_reread, to_scan, described, order, meaning)))
+    return hypotheses
 
 
 def _reread(to_scan: Array, described: str, order: str, meaning: str, pose: Array) -> Array:
@@ -62,10 +62,11 @@ def unit_hypotheses(scale: float, max_factor: float) -> list[Hypothesis]:
 
     max_factor: largest factor that leaves depth possible; beyond it, positions are in a smaller unit.
     """
-    others = [(scale / units, f"{units:g} units per meter ({name})") for units, name in UNITS.items() if abs(units / scale - 1) > _SAME]
-    found = [Hypothesis(words, depth_factor=factor) for factor, words in others if factor < max_factor]
-    smaller = [(100.0, "centimeters"), (1000.0, "millimeters")]
-    return found + [Hypothesis(f"positions of poses in {name}", depth_factor=factor) for factor, name in smaller if factor > max_factor]
+    factors = [(scale / units, f"{units:g} units per meter ({name})") for units, name in UNITS.items()]
+    factors = [(factor, words) for factor, words in factors if abs(factor - 1) > _SAME and factor < max_factor]
+    hypotheses = [Hypothesis(words, depth_factor=factor) for factor, words in factors]
+    smaller = [(factor, name) for factor, name in ((100.0, "centimeters"), (1000.0, "millimeters")) if factor > max_factor]
+    return hypotheses + [Hypothesis(f"positions of poses in {name}", depth_factor=factor) for factor, name in smaller]
 
 
 def lens_hypotheses(frame: FrameSource) -> list[Hypothesis]:

@@ -35,7 +35,7 @@ _MIN_SHIFT = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
-class View:
+class DepthSample:
     """A frame in memory. lens: fx, fy, cx, cy [px]; points: in its camera's frame [m], shape (n, 3); depth: image [m]."""
 
     pose: Array | None
@@ -58,7 +58,7 @@ STATED = Hypothesis("stated")
 
 
 @dataclasses.dataclass(frozen=True)
-class Agreement:
+class PairAgreement:
     """Agreement of all ordered pairs of views under a hypothesis.
 
     confirmed, compared: shares of the points of view j that view i confirms and could confirm, shape (n, n).
@@ -75,7 +75,7 @@ class Agreement:
         return float(self.confirmed[pairs].sum()) / compared if compared else 0.0
 
 
-def views_of(frames: Sequence[FrameSource]) -> list[View]:
+def views_of(frames: Sequence[FrameSource]) -> list[DepthSample]:
     """Some frames with depth, evenly over all and each with a neighbor; images that cannot be read are left out."""
     views = []
     for index in _chosen(len(frames)):
@@ -86,7 +86,7 @@ def views_of(frames: Sequence[FrameSource]) -> list[View]:
             depth = frame.depth()
             points = _points(depth, frame.depth_intrinsics)
             if len(points):
-                views.append(View(frame.pose, frame.depth_intrinsics, points, depth))
+                views.append(DepthSample(frame.pose, frame.depth_intrinsics, points, depth))
     return views
 
 
@@ -108,7 +108,7 @@ def _points(depth: NDArray[np.float32], lens: Sequence[float]) -> Array:
     return np.stack([(columns * step + step // 2 - cx) / fx * z, (rows * step + step // 2 - cy) / fy * z, z], axis=1)
 
 
-def agreement(views: Sequence[View], hypothesis: Hypothesis = STATED) -> Agreement:
+def agreement(views: Sequence[DepthSample], hypothesis: Hypothesis = STATED) -> PairAgreement:
     """Agreement of views that have poses under a hypothesis."""
     zoom = np.array([1 / hypothesis.focal_factor, 1 / hypothesis.focal_factor, 1.0]) * hypothesis.depth_factor
     poses = [hypothesis.pose(view.pose) for view in views if view.pose is not None]
@@ -132,12 +132,12 @@ def agreement(views: Sequence[View], hypothesis: Hypothesis = STATED) -> Agreeme
         source = owner[inside][is_readable]
         compared[index] = np.bincount(source, minlength=len(views)) / counts
         confirmed[index] = np.bincount(source[off < _TOLERANCE], minlength=len(views)) / counts
-    return Agreement(confirmed, compared, pixels)
+    return PairAgreement(confirmed, compared, pixels)
 
 
-def telling_pairs(views: Sequence[View], one: Agreement, other: Agreement) -> NDArray[np.bool_]:
+def telling_pairs(views: Sequence[DepthSample], stated: PairAgreement, other: PairAgreement) -> NDArray[np.bool_]:
     """Pairs of views for which two readings predict different pixels, shape (n, n): others tell nothing of which is right."""
-    shift = np.minimum(np.linalg.norm(one.pixels - other.pixels, axis=2), 1.0)
+    shift = np.minimum(np.linalg.norm(stated.pixels - other.pixels, axis=2), 1.0)
     counts = [len(view.points) for view in views]
     sums = np.add.reduceat(shift, np.cumsum([0, *counts[:-1]]), axis=1)
     return np.asarray(sums / counts > _MIN_SHIFT)

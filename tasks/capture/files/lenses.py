@@ -55,6 +55,7 @@ def intrinsics_file(
 def depth_intrinsics(
     layout: FrameLayout, folder: Path, stated: dict[str, str], color: Intrinsics, color_size: tuple[int, int], size: tuple[int, int]
 ) -> Intrinsics:
+    """Depth intrinsics at the images' own size [px]: those of a file, or else the color intrinsics, resized."""
     if layout.depth_intrinsics is not None:
         name = name_of(layout.depth_intrinsics, folder)
         values = matrix_intrinsics(read_text(layout.depth_intrinsics, name), name)
@@ -88,12 +89,12 @@ def resized_intrinsics(values: Intrinsics, stated: tuple[int, int], size: tuple[
     return scaled_intrinsics(values, stated, size)
 
 
-def _difference(one: tuple[int, int], other: tuple[int, int]) -> str:
-    """Difference between the shapes of two sizes, empty where one may be the other resized."""
-    stretch = one[0] * other[1] / (one[1] * other[0])
+def _difference(size: tuple[int, int], other: tuple[int, int]) -> str:
+    """Difference between the shapes of two sizes, empty where one is the other resized."""
+    stretch = size[0] * other[1] / (size[1] * other[0])
     if 1 / MAX_STRETCH < stretch < MAX_STRETCH:
         return ""
-    turned = one[1] * other[1] / (one[0] * other[0])
+    turned = size[1] * other[1] / (size[0] * other[0])
     return "turned by 90 degrees" if 1 / MAX_STRETCH < turned < MAX_STRETCH else "another shape, so cropped or stretched"
 
 

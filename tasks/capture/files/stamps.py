@@ -77,18 +77,18 @@ def associated(first: Sequence[float], second: Sequence[float], seconds: float =
     return sorted(pairs.items())
 
 
-def partners(names: Sequence[str], others: Sequence[str]) -> dict[str, str]:
+def partners(names: Sequence[str], other_names: Sequence[str]) -> dict[str, str]:
     """The other name of each name that has one: the same, the nearest in time, or the one with the same number."""
-    same = {name: name for name in set(names) & set(others)}
-    if len(same) in (len(names), len(others)):
+    same = {name: name for name in set(names) & set(other_names)}
+    if len(same) in (len(names), len(other_names)):
         return same
-    times, other_times = [time_of(name) for name in names], [time_of(name) for name in others]
+    times, other_times = [time_of(name) for name in names], [time_of(name) for name in other_names]
     if None not in times and None not in other_times:
         pairs = associated([t for t in times if t is not None], [t for t in other_times if t is not None])
-        return {names[i]: others[j] for i, j in pairs}
+        return {names[i]: other_names[j] for i, j in pairs}
     if same:
         return same
-    own, their = _by_number(names), _by_number(others)
+    own, their = _by_number(names), _by_number(other_names)
     return {own[number]: their[number] for number in own.keys() & their.keys()}
 
 

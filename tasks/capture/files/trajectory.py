@@ -13,6 +13,7 @@ y down, z forward), unless the description says `world-to-camera`, `OpenGL` or `
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,7 +38,7 @@ Pose = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
-class _Rows:
+class _PoseRows:
     """Poses of a file in its order.
 
     stamps: times [s] of the rows, or frame numbers with `has_numbers`; empty without any. reasons: of rows without a pose.
@@ -96,12 +97,12 @@ def nearest_in_time(
     stamps: Sequence[float], poses: Sequence[Pose | None], times: Sequence[float], seconds: float
 ) -> tuple[list[Pose | None], dict[int, str]]:
     """The pose of each time [s]: that of the nearest stamp, None where none is as near as `seconds`; and the reason, by place."""
-    rows = _without_conflicts(_Rows(list(poses), list(stamps)))
+    rows = _without_conflicts(_PoseRows(list(poses), list(stamps)))
     return _of_frames(rows, [_nearest(np.array(stamps), time, seconds) for time in times], times)
 
 
 @dataclasses.dataclass(frozen=True)
-class Convention:
+class PoseConvention:
     """Meaning of a file's poses. is_left_handed counts before is_opengl: its axes of the camera are its own."""
 
     is_inverse: bool
@@ -109,11 +110,11 @@ class Convention:
     is_left_handed: bool
 
 
-def convention_of(described: str) -> Convention:
+def convention_of(described: str) -> PoseConvention:
     """Meaning of poses by their description: `world-to-camera`, `OpenGL`, `left-handed`."""
     words = re.sub(r"[\s_-]", "", described.lower())
     is_left_handed = "lefthanded" in words
-    return Convention("worldtocamera" in words or "w2c" in words, "opengl" in words and not is_left_handed, is_left_handed)
+    return PoseConvention("worldtocamera" in words or "w2c" in words, "opengl" in words and not is_left_handed, is_left_handed)
 
 
 def as_described(pose: Pose, described: str) -> Pose:
@@ -133,7 +134,7 @@ def as_written(pose: Pose, described: str) -> Pose:
     return inverse(pose) if meaning.is_inverse else pose
 
 
-def _in_other_axes(pose: Pose, meaning: Convention) -> Pose:
+def _in_other_axes(pose: Pose, meaning: PoseConvention) -> Pose:
     if meaning.is_left_handed:
         return MIRRORED_Y @ pose @ MIRRORED_Y
     return pose @ OPENGL_TO_OPENCV if meaning.is_opengl else pose
@@ -196,7 +197,7 @@ def rows_of(text: str) -> tuple[list[list[str]], str]:
 _COMMENT = re.compile(r"(?:(?<=\s)|^)(?:#|%|//)")
 
 
-def _read(text: str, name: str, described: str) -> _Rows:
+def _read(text: str, name: str, described: str) -> _PoseRows:
     """Poses of a file as it has them; raises InputError."""
     words, comments = rows_of(text)
     order, stated = quaternion_order(described), quaternion_order(comments)
@@ -215,7 +216,7 @@ def quaternion_order(text: str) -> str:
     return next((order for order in (REAL_FIRST, REAL_LAST) if order.replace(" ", "") in letters), "")
 
 
-def _poses(rows: list[list[float]], name: str, real_first: bool) -> _Rows:
+def _poses(rows: list[list[float]], name: str, real_first: bool) -> _PoseRows:
     """Poses of rows of numbers by the shape of the rows; raises InputError."""
     widths = [len(row) for row in rows]
     if not rows:
@@ -224,23 +225,23 @@ def _poses(rows: list[list[float]], name: str, real_first: bool) -> _Rows:
         heads = [rows[i][0] for i in range(0, len(rows), 5)]
         # Some writers leave the same number in every head, which numbers nothing.
         has_numbers = len(set(heads)) == len(heads) and all(head.is_integer() for head in heads)
-        blocks, note = rigid_reading([sum(rows[i + 1 : i + 5], []) for i in range(0, len(rows), 5)], name)
-        return _Rows([*blocks], heads if has_numbers else [*map(float, range(len(blocks)))], has_numbers=True, note=note)
+        blocks, note = rigid_reading([[*itertools.chain(*rows[i + 1 : i + 5])] for i in range(0, len(rows), 5)], name)
+        return _PoseRows([*blocks], heads if has_numbers else [*map(float, range(len(blocks)))], has_numbers=True, note=note)
     odd = next((i for i, width in enumerate(widths) if width != widths[0]), None)
     if odd is not None:
         raise InputError(name, f"row {odd}", f"has {widths[odd]} numbers, the first has {widths[0]}", "is the file cut?")
     width = widths[0]
     if width == 4 and len(rows) % 4 == 0:
-        rows, width = [sum(rows[i : i + 4], []) for i in range(0, len(rows), 4)], 16
+        rows, width = [[*itertools.chain(*rows[i : i + 4])] for i in range(0, len(rows), 4)], 16
     if width in (12, 16):
         matrices, note = rigid_reading(rows, name)
-        return _Rows([*matrices], note=note)
+        return _PoseRows([*matrices], note=note)
     if width not in (7, 8):
         raise InputError(name, "row 0", f"has {width} numbers, none of the known layouts", _SHAPE)
     return _quaternion_rows(rows, name, real_first)
 
 
-def _quaternion_rows(rows: list[list[float]], name: str, real_first: bool) -> _Rows:
+def _quaternion_rows(rows: list[list[float]], name: str, real_first: bool) -> _PoseRows:
     """Poses of rows with a translation and a quaternion, after a stamp if they have 8 numbers; raises InputError."""
     values = np.array(rows)[:, -7:]
     with np.errstate(over="ignore"):
@@ -264,7 +265,7 @@ def _quaternion_rows(rows: list[list[float]], name: str, real_first: bool) -> _R
             poses[-1] = pose_from_quaternion_wxyz((w / length, x / length, y / length, z / length), row[:3])
     stamps = in_seconds([row[0] for row in rows]) if len(rows[0]) == 8 else []
     has_numbers = bool(stamps) and all(stamp.is_integer() and abs(stamp) < _EPOCH for stamp in stamps)
-    return _Rows(poses, stamps, reasons, has_numbers)
+    return _PoseRows(poses, stamps, reasons, has_numbers)
 
 
 _UNIT = 0.1
@@ -274,7 +275,7 @@ _EPOCH = 1e9
 """Whole numbers below are numbers of frames, not times: as seconds since 1970 they would be before September 2001."""
 
 
-def _matched(rows: _Rows, keys: Sequence[str], name: str, notes: list[str]) -> list[int | None]:
+def _matched(rows: _PoseRows, keys: Sequence[str], name: str, notes: list[str]) -> list[int | None]:
     """The row of each frame, None for those without one; raises InputError for orders that contradict each other."""
     count, is_as_many = len(rows.poses), len(rows.poses) == len(keys)
     indices, times = [number_of(key) for key in keys], [time_of(key) for key in keys]
@@ -299,9 +300,7 @@ def _matched(rows: _Rows, keys: Sequence[str], name: str, notes: list[str]) -> l
     return list(range(count))
 
 
-def _by_number(
-    stamps: Sequence[float], indices: Sequence[int | None], is_as_many: bool, name: str, notes: list[str]
-) -> list[int | None]:
+def _by_number(stamps: Sequence[float], indices: Sequence[int | None], is_as_many: bool, name: str, notes: list[str]) -> list[int | None]:
     """Rows of frames by their numbers; in order where all numbers are off by the same, or frames have none."""
     row_of = {stamp: row for row, stamp in reversed(list(enumerate(stamps)))}
     offsets = {index - stamp for index, stamp in zip(indices, stamps, strict=False) if index is not None}
@@ -313,11 +312,11 @@ def _by_number(
     return [None if index is None else row_of.get(index) for index in indices]
 
 
-def _without_conflicts(rows: _Rows) -> _Rows:
+def _without_conflicts(rows: _PoseRows) -> _PoseRows:
     """Rows without the poses of a time for which another row states another pose; the reason names both rows."""
     poses, reasons = list(rows.poses), dict(rows.reasons)
     order = sorted((stamp, row) for row, stamp in enumerate(rows.stamps) if np.isfinite(stamp))
-    for (stamp, row), (next_stamp, other) in zip(order, order[1:], strict=False):
+    for (stamp, row), (next_stamp, other) in itertools.pairwise(order):
         first, second = rows.poses[row], rows.poses[other]
         if stamp == next_stamp and first is not None and second is not None and np.abs(first - second).max() > _SAME_POSE:
             for index in (row, other):
@@ -325,9 +324,7 @@ def _without_conflicts(rows: _Rows) -> _Rows:
     return dataclasses.replace(rows, poses=poses, reasons=reasons)
 
 
-def _of_frames(
-    rows: _Rows, row_of: Sequence[int | None], times: Sequence[float] = ()
-) -> tuple[list[Pose | None], dict[int, str]]:
+def _of_frames(rows: _PoseRows, row_of: Sequence[int | None], times: Sequence[float] = ()) -> tuple[list[Pose | None], dict[int, str]]:
     """Poses of frames by their rows, and the reasons of those without one. times: of the frames [s], for what is said if none fits."""
     reason = "none in the trajectory"
     finite = [stamp for stamp in rows.stamps if np.isfinite(stamp)]

@@ -131,8 +131,8 @@ def _found(frames: Sequence[FrameSource], chosen: Sequence[int], provider: Open3
     """All frames, those chosen with the poses that the provider finds, in the frame of those they had, if any; the others without."""
     own = [frames[i] for i in chosen]
     given = np.array([np.full((4, 4), np.nan) if frame.pose is None else frame.pose for frame in own])
-    found_poses = provider.poses_of(own, given)
-    poses = found_poses.poses
+    answer = provider.poses_of(own, given)
+    poses = answer.poses
     both = np.isfinite(given).all(axis=(1, 2)) & np.isfinite(poses).all(axis=(1, 2))
     if both.sum() >= 1:
         poses = moved_onto(given[both], poses[both]) @ poses
@@ -141,7 +141,7 @@ def _found(frames: Sequence[FrameSource], chosen: Sequence[int], provider: Open3
         if np.isfinite(pose).all():
             source = ESTIMATED if frames[index].pose is None else REFINED
             result[index] = dataclasses.replace(frames[index], pose=pose, pose_source=source)
-    return tuple(result), found_poses
+    return tuple(result), answer
 
 
 def moved_onto(given: Array, poses: Array) -> Array:

@@ -89,7 +89,7 @@ def read_tum_rgbd(scan: Scan) -> Reading:
 
 def listed_images(text: str) -> list[tuple[int, float | None, str]]:
     """Line number, time and image of each line of a list, None for a time that is not a number; separated by blanks or a comma."""
-    found = []
+    images = []
     for number, line in enumerate(text.splitlines(), start=1):
         plain = re.split(r"(?:(?<=\s)|^)#", line, maxsplit=1)[0].strip()
         if not plain:
@@ -98,8 +98,8 @@ def listed_images(text: str) -> list[tuple[int, float | None, str]]:
         is_time = re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d{1,3})?", time, re.ASCII | re.IGNORECASE)
         value = float(time) if is_time and len(time) <= MAX_TIME_LETTERS else math.inf
         image = posixpath.normpath(image.strip("\"'").replace("\\", "/")) if image else ""
-        found.append((number, value if math.isfinite(value) else None, image))
-    return found
+        images.append((number, value if math.isfinite(value) else None, image))
+    return images
 
 
 MAX_TIME_LETTERS = 64
