@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.consistency.hypotheses import USUAL, lens_hypotheses, pose_hypotheses, unit_hypotheses
-from tasks.capture.consistency.reprojection import PairAgreement, Hypothesis, DepthSample, agreement, telling_pairs, views_of
+from tasks.capture.consistency.reprojection import DepthSample, Hypothesis, PairAgreement, agreement, telling_pairs, views_of
 from tasks.capture.reading import FrameSource
 
 Array = NDArray[np.float64]
