@@ -22,6 +22,7 @@ from tasks.capture.files.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from tasks.capture.files.lenses import DEPTH_SCALE, Intrinsics, of_depth, resized_intrinsics
 from tasks.capture.files.ply import read_ply
 from tasks.capture.files.sens import focal_and_center
+from tasks.capture.files.stamps import time_of
 from tasks.capture.files.trajectory import Pose, nearest_in_time, numbers
 from tasks.capture.layout import FrameFiles, folders_in
 from tasks.capture.premises import Premises
@@ -75,7 +76,7 @@ def _frames(files: Iterable[Path], folder: Path) -> tuple[tuple[FrameSource, ...
         if path.parent.name in of_place:
             of_place[path.parent.name][path.stem] = path
     trajectory = next((path for path in files if path.name == POSES), None)
-    colors = [(time, path) for path in of_place[COLOR].values() if (time := _time(path)) is not None]
+    colors = [(time, path) for path in of_place[COLOR].values() if (time := time_of(path.stem)) is not None]
     if not colors:
         return (), []
     colors.sort(key=lambda item: (item[0], item[1].name))
@@ -95,7 +96,7 @@ def _frames(files: Iterable[Path], folder: Path) -> tuple[tuple[FrameSource, ...
 
 def _lenses(times: list[float], paths: Iterable[Path], folder: Path, size: tuple[int, int]) -> list[Intrinsics]:
     """Intrinsics of each time at the images' size [px]: those that were written for the nearest one."""
-    known = sorted((time, path.name, path) for path in paths if (time := _time(path)) is not None)
+    known = sorted((time, path.name, path) for path in paths if (time := time_of(path.stem)) is not None)
     if not known:
         raise InputError(f"{folder.name}/{LENSES}", "folder", "has no .pincam file", "copy the intrinsics of the frames")
     stamps = np.array([time for time, _, _ in known])
@@ -130,12 +131,6 @@ def _trajectory(path: Path, name: str) -> tuple[list[float], list[Pose | None]]:
         pose[:3, :3], pose[:3, 3] = rotation_of(row[1:4]), row[4:7]
         poses.append(inverse(pose))
     return [row[0] for row in rows], poses
-
-
-def _time(path: Path) -> float | None:
-    """Time stamp [s] that a file's name ends with, as in `41069021_305.377.png`."""
-    match = re.fullmatch(r"(?:.*_)?(\d{1,12}\.\d{1,12})", path.stem, re.ASCII)
-    return float(match[1]) if match else None
 
 
 def _room(scan: Scan) -> str | None:
