@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,8 @@ def enlarged(pose: Pose, factor: float) -> Pose:
 
 def assert_same_poses(mine: Frames, true: Frames) -> None:
     for one, other in zip(mine, true, strict=True):
+        assert one.pose is not None
+        assert other.pose is not None
         np.testing.assert_allclose(one.pose, other.pose, atol=1e-9)
 
 
@@ -83,7 +86,7 @@ def test_a_description_is_undone(meaning: str) -> None:
 
 
 FAULTS: dict[str, Callable[[Pose], Pose]] = {
-    **{meaning: lambda pose, meaning=meaning: as_written(pose, meaning) for meaning in CONVENTIONS if meaning != USUAL},
+    **{meaning: partial(as_written, described=meaning) for meaning in CONVENTIONS if meaning != USUAL},
     "qw qx qy qz": written_real_first,
     "qw qx qy qz world-to-camera": lambda pose: written_real_first(inverse(pose)),
 }

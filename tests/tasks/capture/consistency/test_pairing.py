@@ -150,7 +150,9 @@ def test_rows_of_any_writer(text: str, tmp_path: Path) -> None:
 def test_an_order_of_quaternions_in_a_comment_counts(tmp_path: Path) -> None:
     path = tmp_path / "poses.txt"
     path.write_text("# timestamp tx ty tz qw qx qy qz\n0 0 0 0 1 0 0 0\n")
-    assert np.allclose(read_trajectory(path, path.name, ["0"])[0][0], np.eye(4))
+    (pose,), _ = read_trajectory(path, path.name, ["0"])
+    assert pose is not None
+    assert np.allclose(pose, np.eye(4))
     with pytest.raises(InputError, match=r"says quaternions are qw qx qy qz, the scan's description qx qy qz qw"):
         read_trajectory(path, path.name, ["0"], "tx ty tz qx qy qz qw")
 

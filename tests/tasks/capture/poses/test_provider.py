@@ -101,6 +101,7 @@ def test_one_frame_needs_no_pose(provider: GivenPoses | Open3DPoses, tmp_path: P
     (folder / "pose.txt").unlink()
     reading, (note,) = with_poses(reading_of(folder), PosesConfig(provider), "room")
     (frame,) = reading.frames
+    assert frame.pose is not None
     np.testing.assert_array_equal(frame.pose, np.eye(4))
     assert frame.pose_source == "estimated"
     assert note == "poses: frame 000001 is the only one with depth and has no pose: its camera is the origin"
