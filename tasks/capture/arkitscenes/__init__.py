@@ -50,8 +50,8 @@ def read_arkitscenes(scan: Scan) -> Reading:
     mesh, boxes = (next((path for path in files if path.name.endswith(ending)), None) for ending in (MESH, BOXES))
     frames, notes = _frames(files, folder)
     surface = read_ply(mesh, name_of(mesh, folder)) if mesh is not None else None
-    places = (f"{folder.name}/{name}" for name in (POSES, LENSES, DEPTH))
-    frames, findings = settled(frames, Statements(*places, described="world-to-camera", has_mesh=surface is not None))
+    poses, lens, scale = (f"{folder.name}/{name}" for name in (POSES, LENSES, DEPTH))
+    frames, findings = settled(frames, Statements(poses, lens, scale, "world-to-camera", has_mesh=surface is not None))
     notes += findings
     if surface is None and not frames:
         raise InputError(folder.name, MESH, "there is no mesh and no frame to make one of", "copy the mesh")
