@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from schemas.files import stays_in
 from tasks.capture.files.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
+from tasks.capture.files.stamps import last_digits, natural_order, partners
 from tasks.capture.premises import Premises
 
 _COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
@@ -43,13 +44,17 @@ class FrameFiles:
 
 @dataclasses.dataclass(frozen=True)
 class FrameLayout:
-    """Exported frames of a scan: sorted by number where names are numbers, else by name."""
+    """Exported frames of a scan, sorted by the numbers in their names.
+
+    unpaired: files of depth that no color image belongs to, among them those of kinds that are not read.
+    """
 
     folder: Path
     frames: tuple[FrameFiles, ...]
     trajectory: Path | None
     color_intrinsics: Path | None
     depth_intrinsics: Path | None
+    unpaired: tuple[Path, ...] = ()
 
     @property
     def files(self) -> list[Path]:
@@ -76,6 +81,7 @@ def frame_layout(folder: Path, premises: Premises | None = None, above: bool = F
                 trajectory=None if any(frame.pose for frame in frames) else _first(places, _TRAJECTORIES, premises),
                 color_intrinsics=_first(shared, COLOR_INTRINSICS, premises),
                 depth_intrinsics=_first(shared, DEPTH_INTRINSICS, premises),
+                unpaired=_unpaired(place, frames, premises),
             )
     return None
 
@@ -86,9 +92,9 @@ def is_framed(folder: Path) -> bool:
 
 
 def frame_ids(keys: Iterable[str]) -> list[str]:
-    """Six-digit ids of frames: the number that a name is or ends with, else the position, when a number repeats or is too long."""
+    """Six-digit ids of frames: the number that a name is or ends with. The position if one is a decimal, repeats or is too long."""
     names = list(keys)
-    numbers = [match[1] if (match := re.search(r"(\d+)$", name)) else "" for name in names]
+    numbers = [last_digits(name) for name in names]
     usable = all(number and len(number.lstrip("0")) <= 6 for number in numbers)
     ids = [f"{int(number or 0):06d}" for number in numbers] if usable else []
     return ids if usable and len(set(ids)) == len(ids) else [f"{index:06d}" for index in range(len(names))]
@@ -101,7 +107,19 @@ def _paired(place: Path, premises: Premises | None) -> list[FrameFiles]:
         return []
     colors, depths = _by_stem(color, COLOR_SUFFIXES, premises), _by_stem(depth, DEPTH_SUFFIXES, premises)
     poses = _by_stem(pose, (".txt",), premises) if pose is not None and pose.is_dir() else {}
-    return [FrameFiles(key, colors[key], depths.get(key), poses.get(key)) for key in sorted(colors, key=_order)]
+    depth_of, pose_of = partners(list(colors), list(depths)), partners(list(colors), list(poses))
+    keys = sorted(colors, key=natural_order)
+    return [FrameFiles(key, colors[key], depths.get(depth_of.get(key, "")), poses.get(pose_of.get(key, ""))) for key in keys]
+
+
+def _unpaired(place: Path, frames: Sequence[FrameFiles], premises: Premises | None) -> tuple[Path, ...]:
+    """Files in the folder of depth, of any kind, that are not the depth of a frame."""
+    depth = _first((place,), _DEPTH_FOLDERS, premises)
+    if depth is None or not depth.is_dir():
+        return ()
+    paired = {frame.depth for frame in frames}
+    files = (path for path in sorted(depth.iterdir()) if not path.name.startswith(".") and path not in paired)
+    return tuple(path for path in files if _is_admitted(path, premises) and path.is_file())
 
 
 def _flat(place: Path, premises: Premises | None) -> list[FrameFiles]:
@@ -117,17 +135,14 @@ def _flat(place: Path, premises: Premises | None) -> list[FrameFiles]:
     whole = {key: files for key, files in by_kind.items() if "color" in files}
     if not any("depth" in files for files in whole.values()):
         return []
-    return [FrameFiles(key, whole[key]["color"], whole[key].get("depth"), whole[key].get("pose")) for key in sorted(whole, key=_order)]
+    return [
+        FrameFiles(key, whole[key]["color"], whole[key].get("depth"), whole[key].get("pose")) for key in sorted(whole, key=natural_order)
+    ]
 
 
 def _by_stem(folder: Path, suffixes: tuple[str, ...], premises: Premises | None) -> dict[str, Path]:
     named = (path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes and not path.name.startswith("."))
     return {path.stem: path for path in named if _is_admitted(path, premises)}
-
-
-def _order(key: str) -> tuple[int, str]:
-    match = re.search(r"(\d{1,18})$", key)
-    return (int(match[1]) if match else -1, key)
 
 
 def folders_in(folder: Path) -> list[Path]:

@@ -12,7 +12,7 @@ from schemas.errors import InputError
 from tasks.capture.formats import format_of, left_out
 from tasks.capture.labels import FLOOR, WALL, Label, LabelMap
 from tasks.capture.premises import REMEDY
-from tasks.capture.reading import Group, Reading
+from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms.alignment import Alignment, align
 from tasks.capture.scan import Scan
 from tasks.capture.segmentation.gravity import scan_level
@@ -72,6 +72,21 @@ def aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], votes
     # A scan with a mesh of its own has its z axis up already; fused frames have only what they see to tell.
     level = scan_level(reading.frames, spacing_of(surface), votes.frame) if reading.surface is None else None
     return align(surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, level=level, is_authored=is_authored)
+
+
+MIN_CAMERA_M, MAX_CAMERA_M = -0.3, 3.0
+"""Heights over the floor of the lowest tenth of cameras: people hold them below 3 m, and scans of floors are off by a few cm."""
+
+
+def height_notes(frames: Sequence[FrameSource], pose: NDArray[np.float64]) -> list[str]:
+    """A line if the cameras of a scan are not where a person holds them over its floor. pose: scan frame to world frame, 4x4 [m]."""
+    heights = [float((pose @ frame.pose)[2, 3]) for frame in frames if frame.pose is not None]
+    lowest = float(np.quantile(heights, 0.1)) if heights else 0.0
+    if MIN_CAMERA_M <= lowest <= MAX_CAMERA_M:
+        return []
+    side = f"{lowest:.1f} m above" if lowest > 0 else f"{-lowest:.1f} m below"
+    line = f"cameras are {side} the floor, which no person holds so: the floor, the poses or the depth unit is wrong"
+    return [f"{line}; check depth_scale, the unit of the poses and pose_format"]
 
 
 def _lowest_floor(height: NDArray[np.float64], areas: NDArray[np.float64]) -> float:

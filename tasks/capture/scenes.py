@@ -26,7 +26,7 @@ from tasks.capture.instances.segmentation import SegmentationConfig, geometry_in
 from tasks.capture.instances.split import rejoined
 from tasks.capture.instances.views import Sight, best_sights, run_lengths, view_of
 from tasks.capture.labels import CEILING, DOOR, WALL, WINDOW, Label, LabelMap, label_map
-from tasks.capture.leveling import aligned, read_with_meanings
+from tasks.capture.leveling import aligned, height_notes, read_with_meanings
 from tasks.capture.poses.provider import PosesConfig, with_poses
 from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms.alignment import Alignment
@@ -99,7 +99,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         surface, fusion_notes = fused_surface(reading.frames, config.fusion, scan.path.name)
         notes += fusion_notes
     alignment = aligned(reading, surface, meanings, config.votes, is_authored=is_modelled)
-    notes += alignment.notes
+    notes += [*alignment.notes, *height_notes(reading.frames, alignment.pose)]
     world = surface.transformed(alignment.pose)
     notes += advice(levels(world, config.storeys), scan.path)
     groups, probabilities = reading.groups, {}

@@ -22,6 +22,9 @@ Y_UP_TO_Z_UP: Array = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0
 OPENGL_TO_OPENCV: Array = np.diag([1.0, -1.0, -1.0, 1.0])
 """Camera axes of OpenGL (y up, z backward) to OpenCV (y down, z forward); its own inverse."""
 
+MIRRORED_Y: Array = np.diag([1.0, -1.0, 1.0, 1.0])
+"""Left-handed axes (Unity: x right, y up, z forward) to right-handed ones of an OpenCV camera; its own inverse."""
+
 
 def matrix(values: Sequence[float]) -> Array:
     """A 4x4 matrix from 16 numbers, row by row, as rows of the lake hold it."""

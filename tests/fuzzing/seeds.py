@@ -56,7 +56,8 @@ def real(pattern: str, name: str, most: int = 4) -> list[Case]:
 def _image(size: tuple[int, int] = (8, 6), kind: str = "PNG", mode: str = "RGB") -> bytes:
     out = io.BytesIO()
     pixels = np.arange(size[0] * size[1] * 3, dtype=np.uint8).reshape(size[1], size[0], 3)
-    image = Image.fromarray(pixels) if mode == "RGB" else Image.fromarray(pixels[..., 0].astype(np.uint16) + 1000)
+    depth = pixels[..., 0].astype(np.uint16) + 1000
+    image = Image.fromarray({"RGB": pixels, "I;16": depth, "F": depth.astype(np.float32) / 1000}[mode])
     image.save(out, format=kind)
     return out.getvalue()
 
@@ -328,7 +329,10 @@ def poses() -> list[Case]:
     quaternions = "0.0 1 2 3 0 0 0 1\n0.033 1 2 3 0 0.1 0 0.995\n# x\n0.066, 1, 2, 3, 0, 0, 0.1, 0.995\n"
     log = "".join(f"{i} {i} {i + 1}\n{capture_scans.matrix_text(pose)}" for i, (_, _, pose) in enumerate(shots))
     rows = "".join(" ".join(map(str, pose[:3].ravel())) + "\n" for _, _, pose in shots)
-    return [{"poses.txt": text.encode()} for text in (quaternions, log, rows, quaternions.replace("0.0 ", "", 1).split("\n")[0] + "\n")]
+    columns = "".join(" ".join(map(str, pose.T.ravel())) + "\n" for _, _, pose in shots)
+    headed = "timestamp,tx,ty,tz,qw,qx,qy,qz\r\n\t1305031102000000000;1;2;3;1;0;0;0 # first\r\n1305031102033000000;1;2;3;1;0;0;0\r\n"
+    plain = quaternions.replace("0.0 ", "", 1).split("\n")[0] + "\n"
+    return [{"poses.txt": text.encode()} for text in (quaternions, log, rows, plain, columns, headed)]
 
 
 @cache
@@ -561,4 +565,5 @@ def images() -> list[Case]:
 
     kinds = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG", ".ppm": "PPM", ".bmp": "BMP", ".pgm": "PPM", ".tif": "TIFF", ".tiff": "TIFF"}
     found = [{f"color{ending}": _image((16, 12), kinds[ending])} for ending in COLOR_SUFFIXES]
-    return found + [{f"depth{ending}": _image((16, 12), kinds[ending], "I;16")} for ending in DEPTH_SUFFIXES]
+    found += [{f"depth{ending}": _image((16, 12), kinds[ending], "I;16")} for ending in DEPTH_SUFFIXES]
+    return [*found, {"depth.tiff": _image((16, 12), "TIFF", "F")}]

@@ -304,15 +304,19 @@ def _read_sens(folder: Path) -> None:
 def _read_poses(folder: Path) -> None:
     from tasks.capture.files.trajectory import read_trajectory
 
-    for described in ("", "world-to-camera, OpenGL, qw qx qy qz"):
-        read_trajectory(folder / "poses.txt", "poses.txt", ["0", "1", "2.5"], described)
+    for described in ("", "world-to-camera, OpenGL, qw qx qy qz", "left-handed"):
+        for keys in (["0", "1", "2.5"], ["1", "2", "3"], ["1305031102.0", "1305031102_033000000"]):
+            with contextlib.suppress(LakeError):
+                read_trajectory(folder / "poses.txt", "poses.txt", keys, described)
+    read_trajectory(folder / "poses.txt", "poses.txt", ["0", "1", "2.5"])
 
 
 def _read_images(folder: Path) -> None:
-    from tasks.capture.files.images import image_size, read_color, read_depth
+    from tasks.capture.files.images import has_float_depth, image_size, read_color, read_depth
 
     for path in sorted(folder.iterdir()):
         size = image_size(path, path.name)
+        has_float_depth(path, path.name)
         for read in (lambda path, size: read_color(path, path.name, size), lambda path, size: read_depth(path, path.name, size, 1000.0)):
             with contextlib.suppress(LakeError):
                 read(path, size)

@@ -15,11 +15,14 @@ import numpy as np
 
 from schemas.errors import InputError
 from tasks.capture.arkitscenes.boxes import box_groups
+from tasks.capture.consistency.findings import Statements, settled
 from tasks.capture.files.documents import floats, license_of, name_of, read_text
-from tasks.capture.files.frames import DEPTH_SCALE, Intrinsics, frame_sources, one_size, scaled_intrinsics
+from tasks.capture.files.frames import frame_sources, one_size
 from tasks.capture.files.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
+from tasks.capture.files.lenses import DEPTH_SCALE, Intrinsics, of_depth, resized_intrinsics
 from tasks.capture.files.ply import read_ply
 from tasks.capture.files.sens import focal_and_center
+from tasks.capture.files.stamps import time_of
 from tasks.capture.files.trajectory import Pose, nearest_in_time, numbers
 from tasks.capture.layout import FrameFiles, folders_in
 from tasks.capture.premises import Premises
@@ -47,6 +50,9 @@ def read_arkitscenes(scan: Scan) -> Reading:
     mesh, boxes = (next((path for path in files if path.name.endswith(ending)), None) for ending in (MESH, BOXES))
     frames, notes = _frames(files, folder)
     surface = read_ply(mesh, name_of(mesh, folder)) if mesh is not None else None
+    poses, lens, scale = (f"{folder.name}/{name}" for name in (POSES, LENSES, DEPTH))
+    frames, findings = settled(frames, Statements(poses, lens, scale, "world-to-camera", has_mesh=surface is not None))
+    notes += findings
     if surface is None and not frames:
         raise InputError(folder.name, MESH, "there is no mesh and no frame to make one of", "copy the mesh")
     groups = None
@@ -70,7 +76,7 @@ def _frames(files: Iterable[Path], folder: Path) -> tuple[tuple[FrameSource, ...
         if path.parent.name in of_place:
             of_place[path.parent.name][path.stem] = path
     trajectory = next((path for path in files if path.name == POSES), None)
-    colors = [(time, path) for path in of_place[COLOR].values() if (time := _time(path)) is not None]
+    colors = [(time, path) for path in of_place[COLOR].values() if (time := time_of(path.stem)) is not None]
     if not colors:
         return (), []
     colors.sort(key=lambda item: (item[0], item[1].name))
@@ -84,13 +90,13 @@ def _frames(files: Iterable[Path], folder: Path) -> tuple[tuple[FrameSource, ...
     if trajectory is not None:
         stamps, known = _trajectory(trajectory, name_of(trajectory, folder))
         poses, reasons = nearest_in_time(stamps, known, [time for time, _ in colors], NEAR_SECONDS)
-    both = [(lens, scaled_intrinsics(lens, size, depth_size or size)) for lens in lenses]
+    both = [(lens, of_depth(lens, size, depth_size or size, folder.name)) for lens in lenses]
     return frame_sources(own, folder, size, depth_size, both, DEPTH_SCALE, poses, reasons)
 
 
 def _lenses(times: list[float], paths: Iterable[Path], folder: Path, size: tuple[int, int]) -> list[Intrinsics]:
     """Intrinsics of each time at the images' size [px]: those that were written for the nearest one."""
-    known = sorted((time, path.name, path) for path in paths if (time := _time(path)) is not None)
+    known = sorted((time, path.name, path) for path in paths if (time := time_of(path.stem)) is not None)
     if not known:
         raise InputError(f"{folder.name}/{LENSES}", "folder", "has no .pincam file", "copy the intrinsics of the frames")
     stamps = np.array([time for time, _, _ in known])
@@ -105,7 +111,7 @@ def _pincam(path: Path, folder: Path, size: tuple[int, int]) -> Intrinsics:
     lens = focal_and_center(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), name, "intrinsics")
     if not (1 <= width < 1e5 and 1 <= height < 1e5):
         raise InputError(name, "width", f"{width:g} x {height:g} is no size of an image", "copy the file again")
-    return scaled_intrinsics(lens, (round(width), round(height)), size)
+    return resized_intrinsics(lens, (round(width), round(height)), size, name)
 
 
 def _trajectory(path: Path, name: str) -> tuple[list[float], list[Pose | None]]:
@@ -125,12 +131,6 @@ def _trajectory(path: Path, name: str) -> tuple[list[float], list[Pose | None]]:
         pose[:3, :3], pose[:3, 3] = rotation_of(row[1:4]), row[4:7]
         poses.append(inverse(pose))
     return [row[0] for row in rows], poses
-
-
-def _time(path: Path) -> float | None:
-    """Time stamp [s] that a file's name ends with, as in `41069021_305.377.png`."""
-    match = re.fullmatch(r"(?:.*_)?(\d{1,12}\.\d{1,12})", path.stem, re.ASCII)
-    return float(match[1]) if match else None
 
 
 def _room(scan: Scan) -> str | None:

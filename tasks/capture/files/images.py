@@ -53,8 +53,23 @@ def decode_color(data: bytes, name: str, size: tuple[int, int]) -> NDArray[np.ui
     return pixels
 
 
+def has_float_depth(path: Path, name: str) -> bool:
+    """True if a depth image holds floating-point numbers, by its header.
+
+    Raises:
+        InputError: the file is not an image.
+    """
+    from PIL import Image
+
+    with _decoding(name, "image", "read"), open_file(path, name, MAX_IMAGE_BYTES) as file, Image.open(file) as image:
+        return image.mode == "F"
+
+
 def read_depth(path: Path, name: str, size: tuple[int, int], scale: float) -> NDArray[np.float32]:
-    """Depth [m], shape (height, width), 0 where there is none, of a 16-bit image in 1/scale metres; raises InputError."""
+    """Depth [m], shape (height, width), 0 where there is none, of an image in 1/scale meters; raises InputError.
+
+    The largest value of 16 bits marks pixels without a reading. 8 bits are refused above `MAX_SCALE_8_BITS`.
+    """
     from PIL import Image
 
     data = read_bytes(path, name, MAX_IMAGE_BYTES)
@@ -63,8 +78,19 @@ def read_depth(path: Path, name: str, size: tuple[int, int], scale: float) -> ND
         values = np.asarray(image)
     if values.ndim != 2 or values.dtype.kind not in "iuf":
         raise InputError(name, "depth", "is no single-channel image", "export depth as 16-bit grey")
+    if values.dtype == np.uint8 and scale > MAX_SCALE_8_BITS:
+        problem = f"has 8 bits: at {scale:g} units per meter they reach {255 / scale:.2g} m"
+        raise InputError(name, "depth", problem, "export depth as 16-bit grey")
     depth = values.astype(np.float32) / np.float32(scale)
-    return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+    is_reading = np.isfinite(depth) & (depth > 0) & ((values != NO_READING) | (values.dtype.kind == "f"))
+    return np.where(is_reading, depth, np.float32(0))
+
+
+NO_READING = 65535
+"""The largest value of 16 bits: an invalid pixel or one out of range, never a distance."""
+
+MAX_SCALE_8_BITS = 100.0
+"""Units per meter at which 8 bits still reach 2.5 m; confidence images have 1."""
 
 
 def encode_jpeg(image: NDArray[np.uint8], longest: int) -> bytes:

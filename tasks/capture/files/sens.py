@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import open_file
-from tasks.capture.files.images import MAX_PIXELS, decode_color
+from tasks.capture.files.images import MAX_PIXELS, NO_READING, decode_color
 
 MAX_SENS_BYTES = BUDGET.sens_bytes
 
@@ -80,7 +80,8 @@ class SensFile:
                 raise InputError(label, "depth", f"cannot be unpacked ({error})", _AGAIN) from error
         if len(data) != needed:
             raise InputError(label, "depth", f"does not unpack to {width} x {height} pixels", _AGAIN)
-        return np.frombuffer(data, dtype="<u2").reshape(height, width).astype(np.float32) / np.float32(self.depth_scale)
+        units = np.frombuffer(data, dtype="<u2").reshape(height, width)
+        return np.where(units == NO_READING, np.float32(0), units.astype(np.float32) / np.float32(self.depth_scale))
 
     def _slice(self, start: int, count: int) -> bytes:
         try:

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.capture.files.frames import scaled_intrinsics
+from tasks.capture.files.lenses import scaled_intrinsics
 from tasks.capture.reading import FrameSource
 from tasks.geometry.meshes import Surface
 from tasks.geometry.rendering import Camera, RayScene

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from schemas.errors import InputError
-from tasks.capture.files.conventions import CLEARLY_BETTER, CONVENTIONS, MIN_AGREEMENT, QUATERNIONS, agreement
+from tasks.capture.consistency.findings import settled
 from tasks.capture.files.documents import license_of
-from tasks.capture.files.frames import exported_frames, pose_format
-from tasks.capture.layout import FrameLayout, folders_in, frame_layout, is_framed
+from tasks.capture.files.frames import exported_frames, frame_statements
+from tasks.capture.layout import folders_in, frame_layout, is_framed
 from tasks.capture.premises import Premises
-from tasks.capture.reading import FrameSource, Reading
+from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan, ScanFormat, license_path
 
 
@@ -24,7 +24,8 @@ def read_posed_rgbd(scan: Scan) -> Reading:
     layout = frame_layout(scan.path, scan.premises, above=True)
     if layout is None or not layout.frames:
         raise InputError(scan.path.name, "folder", "holds no frames", "expected folders color and depth")
-    frames, notes = _by_convention(layout, scan.path)
+    frames, notes = exported_frames(layout, scan.path, {})
+    frames, findings = settled(frames, frame_statements(layout, scan.path, is_open=True))
     return Reading(
         surface=None,
         parts=(),
@@ -34,29 +35,8 @@ def read_posed_rgbd(scan: Scan) -> Reading:
         room_type="",
         license=license_of(license_path(scan.path, scan.premises)),
         is_dense=True,
-        degradations=tuple(notes),
+        degradations=(*notes, *findings),
     )
-
-
-def _by_convention(layout: FrameLayout, folder: Path) -> tuple[tuple[FrameSource, ...], list[str]]:
-    """Frames with poses as the scan describes them; where it does not, as usual, unless its depth clearly says otherwise."""
-    frames, notes = exported_frames(layout, folder, {})
-    usual = agreement(frames)
-    if pose_format(layout, folder) or usual >= MIN_AGREEMENT:
-        return frames, notes
-    best = (usual, "", frames, notes)
-    for order in QUATERNIONS if layout.trajectory is not None else QUATERNIONS[:1]:
-        for meaning in CONVENTIONS:
-            convention = f"{order} {meaning}".strip()
-            if convention:
-                other, more = exported_frames(layout, folder, {}, convention)
-                if (share := agreement(other)) > best[0]:
-                    best = (share, convention, other, more)
-    share, convention, other, more = best
-    if share < max(MIN_AGREEMENT, CLEARLY_BETTER * usual):
-        return frames, notes
-    note = f"poses read as {convention}: depth of neighboring frames then agrees on {share:.0%}, otherwise on {usual:.0%}"
-    return other, [*more, f"{note}; state pose_format in intrinsics.json to settle it"]
 
 
 def _files(scan: Scan, premises: Premises) -> list[Path]:

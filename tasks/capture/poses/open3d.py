@@ -37,6 +37,20 @@ Voxels = Annotated[tuple[Positive, ...], LISTED]
 
 
 @dataclasses.dataclass(frozen=True)
+class FoundPoses:
+    """Poses that were found from color and depth.
+
+    poses: camera to the frame of the first, shape (n, 4, 4) [m], NaN where nothing joins a frame to the others. line: how they came
+    about. keys, loops: key frames of the graph, and closed loops between them that were kept.
+    """
+
+    poses: Array
+    line: str
+    keys: int
+    loops: int
+
+
+@dataclasses.dataclass(frozen=True)
 class Open3DPoses(Config):
     """Found from color and depth by Open3D; poses that a scan has are where it starts, and are kept where they fit the depth.
 
@@ -75,9 +89,8 @@ class Open3DPoses(Config):
             except (OSError, ValueError) as error:
                 return str(error)
 
-    def poses_of(self, frames: Sequence[FrameSource], given: Array) -> tuple[Array, str]:
-        """Poses of frames that have depth, camera to the frame of the first, shape (n, 4, 4), NaN where nothing joins a frame to the
-        others; and a line about how they came about. given: Poses to start from, NaN where there is none, shape (n, 4, 4) [m].
+    def poses_of(self, frames: Sequence[FrameSource], given: Array) -> FoundPoses:
+        """Poses of frames that have depth. given: poses to start from, NaN where there is none, shape (n, 4, 4) [m].
 
         Raises:
             InputError: Open3D cannot be run, or did not do its work; or an image cannot be read.
@@ -114,7 +127,7 @@ class Open3DPoses(Config):
             f"{summary['steps']} steps between {summary['keys']} key frames",
             f"{summary['kept']} of {summary['loops']} closed loops kept",
         )
-        return poses, f"Open3D {summary['version']}: {steps}, {loops}"
+        return FoundPoses(poses, f"Open3D {summary['version']}: {steps}, {loops}", int(summary["keys"]), int(summary["kept"]))
 
 
 _NOT_OF_THE_SCRIPT = ("python", "always", "max_frames", "width_px", "timeout_s")

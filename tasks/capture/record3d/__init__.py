@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from tasks.capture.consistency.findings import Statements, settled
 from tasks.capture.files.documents import json_floats, license_of, name_of, read_bytes, read_json
-from tasks.capture.files.frames import Intrinsics, frame_sources, one_size, scaled_intrinsics
+from tasks.capture.files.frames import frame_sources, one_size
 from tasks.capture.files.images import MAX_IMAGE_BYTES, MAX_PIXELS
+from tasks.capture.files.lenses import Intrinsics, of_depth, resized_intrinsics
 from tasks.capture.files.sens import focal_and_center
 from tasks.capture.files.trajectory import Pose
 from tasks.capture.layout import FrameFiles
@@ -63,7 +65,7 @@ def read_record3d(scan: Scan) -> Reading:
     if depth_size[0] * depth_size[1] > MAX_PIXELS:
         raise InputError(name, "dw", f"is {depth_size[0]} x {depth_size[1]} pixels", "is it the right file?")
     lenses = _lenses(document, name, numbers, size)
-    both = [(lens, scaled_intrinsics(lens, size, depth_size)) for lens in lenses]
+    both = [(lens, of_depth(lens, size, depth_size, folder.name)) for lens in lenses]
     _check_unpacked(frames[0].depth, folder)
 
     def reader(path: Path) -> Callable[[], NDArray[np.float32]]:
@@ -72,8 +74,10 @@ def read_record3d(scan: Scan) -> Reading:
     poses = _poses(document.get("poses"), name)
     known = [poses[number] if number < len(poses) else None for number in numbers]
     sources, notes = frame_sources(frames, folder, size, depth_size, both, 1.0, known, {}, reader)
+    statements = Statements(name, name, f"{folder.name}/{PLACE}", "OpenGL", has_quaternions=True, from_file=Y_UP_TO_Z_UP)
+    sources, findings = settled(sources, statements)
     license = license_of(license_path(folder, scan.premises))
-    return Reading(surface=None, frames=sources, license=license, degradations=tuple(notes), from_file=Y_UP_TO_Z_UP)
+    return Reading(surface=None, frames=sources, license=license, degradations=(*notes, *findings), from_file=Y_UP_TO_Z_UP)
 
 
 def _check_unpacked(path: Path | None, folder: Path) -> None:
@@ -110,7 +114,7 @@ def _lenses(document: dict[str, Any], name: str, numbers: Sequence[int], size: t
         if isinstance(own, list) and number < len(own):
             fx, fy, cx, cy = json_floats(own[number], name, f"perFrameIntrinsicCoeffs[{number}]", 4)
             lens = focal_and_center(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), name, f"perFrameIntrinsicCoeffs[{number}]")
-        lenses.append(scaled_intrinsics(lens, stated, size) if stated != size else lens)
+        lenses.append(resized_intrinsics(lens, stated, size, name) if stated != size else lens)
     return lenses
 
 

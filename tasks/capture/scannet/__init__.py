@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.aggregation import vertex_groups
+from tasks.capture.consistency.findings import Statements, settled
 from tasks.capture.files.documents import floats, integers, license_of, name_of, read_json, read_text, settings
-from tasks.capture.files.frames import exported_frames, sens_frames
+from tasks.capture.files.frames import exported_frames, frame_statements, sens_frames
 from tasks.capture.files.ply import read_ply
 from tasks.capture.premises import Premises
 from tasks.capture.reading import FrameSource, Group, Reading
@@ -42,7 +43,8 @@ def read_scannet(scan: Scan) -> Reading:
     stated = settings(read_text(layout.metadata, name_of(layout.metadata, folder))) if layout.metadata else {}
     degradations: list[str] = []
     frames, notes = _frames(layout, folder, stated)
-    degradations += notes
+    frames, findings = settled(frames, _statements(layout, folder))
+    degradations += notes + findings
     surface, groups = None, None
     if layout.mesh is None:
         if not frames:
@@ -81,6 +83,14 @@ def _frames(layout: ScanNetLayout, folder: Path, stated: dict[str, str]) -> tupl
     if layout.sens is not None:
         return sens_frames(layout.sens, folder)
     return (), []
+
+
+def _statements(layout: ScanNetLayout, folder: Path) -> Statements:
+    has_mesh = layout.mesh is not None
+    if layout.frames is None:
+        container = name_of(layout.sens, folder) if layout.sens is not None else folder.name
+        return Statements(container, container, container, has_mesh=has_mesh)
+    return frame_statements(layout.frames, folder, is_open=False, has_mesh=has_mesh)
 
 
 def _alignment(stated: dict[str, str], layout: ScanNetLayout, folder: Path) -> NDArray[np.float64] | None:

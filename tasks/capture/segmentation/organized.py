@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.capture.files.frames import Intrinsics
+from tasks.capture.files.lenses import Intrinsics
 from tasks.capture.small_objects.lifting import DepthView, depth_noise
 from tasks.kernels import Kernels, compile_kernels
 

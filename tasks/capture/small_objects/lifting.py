@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.capture.files.frames import Intrinsics
+from tasks.capture.files.lenses import Intrinsics
 from tasks.capture.reading import FrameSource
 from tasks.settings import Config, Count, NonNegative, Positive, Share
 

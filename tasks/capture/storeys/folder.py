@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.files import read_file
-from tasks.capture.files.frames import DEPTH_SCALE
+from tasks.capture.files.lenses import DEPTH_SCALE
 from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.geometry.meshes import dump_glb
 from tasks.scanner.folder import png, write_mesh

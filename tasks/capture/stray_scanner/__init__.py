@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from tasks.capture.consistency.findings import Statements, settled
 from tasks.capture.files.documents import license_of, name_of, read_text
-from tasks.capture.files.frames import DEPTH_SCALE, Intrinsics, frame_sources, matrix_intrinsics, one_size, scaled_intrinsics
+from tasks.capture.files.frames import frame_sources, one_size
 from tasks.capture.files.images import COLOR_SUFFIXES, image_size, read_depth
+from tasks.capture.files.lenses import DEPTH_SCALE, Intrinsics, matrix_intrinsics, of_depth
 from tasks.capture.files.sens import focal_and_center
 from tasks.capture.files.trajectory import Pose
 from tasks.capture.layout import FrameFiles
@@ -64,7 +66,7 @@ def read_stray_scanner(scan: Scan) -> Reading:
     rows = _odometry(files[ODOMETRY], name_of(files[ODOMETRY], folder), lens)
     scale = _scale(lens, size)
     lenses = [_resized(rows[number][1] if number in rows else lens, scale) for number in numbers]
-    both = [(own, scaled_intrinsics(own, size, depth_size)) for own in lenses]
+    both = [(own, of_depth(own, size, depth_size, folder.name)) for own in lenses]
     notes = []
     if len(numbers) < len(depths):
         notes.append(f"{len(depths) - len(numbers)} of {len(depths)} depth images have no color image: left out")
@@ -75,8 +77,11 @@ def read_stray_scanner(scan: Scan) -> Reading:
 
     poses: list[Pose | None] = [rows[number][0] if number in rows else None for number in numbers]
     sources, more = frame_sources(frames, folder, size, depth_size, both, DEPTH_SCALE, poses, {}, reader)
+    odometry, camera = (name_of(files[name], folder) for name in (ODOMETRY, CAMERA))
+    statements = Statements(odometry, camera, f"{folder.name}/{DEPTH}", has_quaternions=True, from_file=Y_UP_TO_Z_UP)
+    sources, findings = settled(sources, statements)
     license = license_of(license_path(folder, scan.premises))
-    return Reading(surface=None, frames=sources, license=license, degradations=(*notes, *more), from_file=Y_UP_TO_Z_UP)
+    return Reading(surface=None, frames=sources, license=license, degradations=(*notes, *more, *findings), from_file=Y_UP_TO_Z_UP)
 
 
 def _depth(path: Path, confidence: Path | None, folder: Path, size: tuple[int, int]) -> NDArray[np.float32]:

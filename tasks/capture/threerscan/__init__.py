@@ -17,6 +17,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.parsing import json_value
 from tasks.capture.aggregation import vertex_groups
+from tasks.capture.consistency.findings import Statements, settled
 from tasks.capture.files.documents import integers, license_of, name_of, plain_text, read_bytes, read_json, read_text, settings
 from tasks.capture.files.frames import exported_frames
 from tasks.capture.files.images import image_size, read_color
@@ -142,7 +143,10 @@ def _frames(scan: Scan) -> tuple[tuple[FrameSource, ...], list[str]]:
         return (), [f"no frames in the scan: no views, no masks{packed}"]
     info = layout.folder / CAMERA
     stated = _camera(info, name_of(info, folder)) if info.is_file() and scan.premises.admits(info) else {}
-    return exported_frames(layout, folder, stated)
+    frames, notes = exported_frames(layout, folder, stated)
+    place = name_of(layout.folder, folder)
+    frames, findings = settled(frames, Statements(place, f"{place}/{CAMERA}", f"{place}/{CAMERA}", has_mesh=True))
+    return frames, notes + findings
 
 
 def _camera(path: Path, name: str) -> dict[str, str]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from tasks.capture.files.documents import MAX_TEXT_BYTES
 from tasks.capture.scan import Scan
-from tasks.capture.tum_rgbd import COLOR, DEPTH, POSES, TUM_RGBD
+from tasks.capture.tum_rgbd import COLOR, DEPTH, POSES, TUM_RGBD, listed_images
 from tasks.capture.wholeness import Gap, content, file_gaps
 
 
@@ -17,9 +17,8 @@ def gaps(scan: Scan) -> Iterator[Gap]:
         if name not in files:
             yield Gap(f"{name}: is missing")
             continue
-        lines = content(files[name], MAX_TEXT_BYTES).decode("utf-8", "replace").splitlines()
-        listed = [line.split()[1] for line in lines if len(line.split()) == 2 and not line.startswith("#")]
-        missing = [image for image in listed if image not in files]
+        text = content(files[name], MAX_TEXT_BYTES).decode("utf-8-sig", "replace")
+        missing = [image for _, time, image in listed_images(text) if time is not None and image and image not in files]
         if missing:
             yield Gap(f"{name}: lists {len(missing)} images that are not there, as {missing[0]:.60}")
     if POSES not in files:

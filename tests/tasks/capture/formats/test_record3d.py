@@ -45,10 +45,15 @@ def test_each_frame_may_have_a_lens_of_its_own(tmp_path: Path) -> None:
     write_sample(tmp_path / "a")
     path = tmp_path / "a" / "metadata"
     document = json.loads(path.read_text())
-    path.write_text(json.dumps(document | {"perFrameIntrinsicCoeffs": [[50 + k, 51, 19, 15] for k in range(3)]}))
-    assert [frame.intrinsics for frame in read(tmp_path).frames] == [(50 + k, 51, 19, 15) for k in range(3)]
+    path.write_text(json.dumps(document | {"perFrameIntrinsicCoeffs": [[30 + k, 31, 19, 15] for k in range(3)]}))
+    assert [frame.intrinsics for frame in read(tmp_path).frames] == [(30 + k, 31, 19, 15) for k in range(3)]
+    fx, fy, cx, cy = sample().frames[0].intrinsics
+    video = {"w": document["w"] * 2, "h": document["h"] * 2, "K": [2 * fx, 0, 0, 0, 2 * fy, 0, 2 * cx + 0.5, 2 * cy + 0.5, 1]}
+    path.write_text(json.dumps(document | video))
+    np.testing.assert_allclose(read(tmp_path).frames[0].intrinsics, (fx, fy, cx, cy))
     path.write_text(json.dumps(document | {"w": document["w"] * 2, "h": document["h"] * 2}))
-    np.testing.assert_allclose(read(tmp_path).frames[0].intrinsics[0], sample().frames[0].intrinsics[0] / 2)
+    with pytest.raises(InputError, match=r"^a/metadata: intrinsics: its principal point .* about 20 x 15 pixels, and the color images"):
+        read(tmp_path)
 
 
 @pytest.mark.parametrize(("key", "value"), [("K", [1.0]), ("dw", 0), ("dh", "many"), ("poses", [[1, 2]]), ("poses", 7)])

@@ -18,7 +18,7 @@ from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run
 from tasks.capture.formats import find_scans
 from tasks.capture.leveling import read_scan
-from tasks.capture.poses.open3d import Open3DPoses
+from tasks.capture.poses.open3d import FoundPoses, Open3DPoses
 from tasks.capture.poses.provider import GivenPoses, PosesConfig, moved_onto, with_poses
 from tasks.capture.reading import Reading
 from tasks.capture.small_objects.additions import SmallObjectsConfig, Unsought
@@ -92,6 +92,57 @@ def test_no_poses_and_nobody_to_find_them(tmp_path: Path) -> None:
     (folder / "pose.txt").unlink()
     with pytest.raises(InputError, match=r"room: poses: there are none; .*pose.txt.*make open3d"):
         with_poses(reading_of(folder), PosesConfig(), "room")
+
+
+@pytest.mark.parametrize("provider", [GivenPoses(), Open3DPoses(python="false")], ids=["given", "open3d"])
+def test_one_frame_needs_no_pose(provider: GivenPoses | Open3DPoses, tmp_path: Path) -> None:
+    """Its camera is the origin, whoever finds poses; a frame of a scan with a mesh has none."""
+    folder = write_posed_rgbd(tmp_path / "room", box_room(cameras=1))
+    (folder / "pose.txt").unlink()
+    reading, (note,) = with_poses(reading_of(folder), PosesConfig(provider), "room")
+    (frame,) = reading.frames
+    assert frame.pose is not None
+    np.testing.assert_array_equal(frame.pose, np.eye(4))
+    assert frame.pose_source == "estimated"
+    assert note == "poses: frame 000001 is the only one with depth and has no pose: its camera is the origin"
+    meshed = dataclasses.replace(reading_of(folder), surface=box_room(cameras=1).surface)
+    assert with_poses(meshed, PosesConfig(provider), "room")[0] is meshed
+
+
+@pytest.mark.whole
+def test_one_frame_becomes_a_scene(tmp_path: Path) -> None:
+    folder = write_posed_rgbd(tmp_path / "room", box_room(cameras=1))
+    (folder / "pose.txt").unlink()
+    (scan,), _ = find_scans(folder)
+    outcome = run(scan=scan, context=Context(scan.scene_id, "capture", 0, {}), config=CaptureConfig())
+    assert [row.pose_source for row in outcome.rows["frames"]] == ["estimated"]
+    assert len(outcome.rows["instances"]) > 0
+
+
+@pytest.mark.parametrize(
+    ("keys", "loops", "share", "words"),
+    [
+        (40, 20, 1.0, ""),
+        (4, 20, 1.0, "found from 4 key frames: "),
+        (40, 0, 1.0, "found from 0 closed loops: "),
+        (40, 20, 0.1, "found from little motion (0."),
+        (2, 1, 0.1, "found from 2 key frames, 1 closed loops, little motion (0."),
+    ],
+)
+def test_drift_that_nothing_bounds_is_told(
+    keys: int, loops: int, share: float, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Poses from few key frames or loops, or of a camera that hardly moved, come with a warning."""
+    true = reading_of(write_posed_rgbd(tmp_path / "room", box_room()))
+    count = len(true.frames) if share == 1.0 else 2
+    poses = np.array([frame.pose for frame in true.frames[:1] * (len(true.frames) - count) + true.frames[:count]])
+    poses[-1, :3, 3] = poses[0, :3, 3] + share * (poses[-1, :3, 3] - poses[0, :3, 3])
+    poses[-1, :3, :3] = poses[-1, :3, :3] if share == 1.0 else poses[0, :3, :3]
+    monkeypatch.setattr(Open3DPoses, "poses_of", lambda *_: FoundPoses(poses, "a stand-in", keys, loops))
+    bare = dataclasses.replace(true, frames=tuple(dataclasses.replace(frame, pose=None) for frame in true.frames))
+    _, notes = with_poses(bare, PosesConfig(Open3DPoses()), "room")
+    warnings = [note for note in notes if "may drift" in note]
+    assert [words in warning for warning in warnings] == [True] * bool(words)
 
 
 @pytest.mark.parametrize("python", ["no_such_python", "false"])
