@@ -13,13 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.errors import InputError
+from tasks.geometry.colors import bytes_of_linear, linear_of_bytes
 from tasks.geometry.meshes import surface_of, vertex_colors
 from tasks.library.formats import content_of, model_files, read_model
 from tasks.library.metadata import ModelFacts
 from tasks.library.obj import _weigh
 from tasks.library.units import canonical_parts, convention_of
 from tasks.library.usd.child import drawn_on, unpacked
-from tasks.library.usd.stage import Flattened, srgb
+from tasks.library.usd.stage import Flattened
 from tests import attacks
 from tests.tasks.library.models import as_glb, as_obj, as_usdz, chair, farthest, write_usd
 
@@ -142,10 +143,8 @@ def test_usd_instances_are_flattened_and_solids_are_meshes(tmp_path: Path) -> No
 
 @given(st.integers(0, 255))
 def test_colors_of_usd_are_linear(value: int) -> None:
-    from tasks.exports.shading import linear_colors
-
     gray = np.full((1, 3), value, dtype=np.uint8)
-    assert (srgb(linear_colors(gray)) == gray).all()
+    assert (bytes_of_linear(linear_of_bytes(gray)) == gray).all()
 
 
 def write_layer(path: Path, text: str) -> Path:
