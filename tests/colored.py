@@ -49,7 +49,7 @@ class Colored:
     def glb(self) -> bytes:
         """A GLB of the box, which stands on the floor."""
         box = trimesh.creation.box((SIDE_M, SIDE_M, SIDE_M))
-        points = (np.asarray(box.vertices) + [0, SIDE_M / 2, 0]).astype("<f4")
+        points = (np.asarray(box.vertices) + np.array([0, SIDE_M / 2, 0])).astype("<f4")
         chunks, document = [], _document()
 
         def add(data: bytes, **accessor: Any) -> int:
