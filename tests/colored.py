@@ -28,7 +28,10 @@ def encoded(linear: Any) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Colored:
-    """A box of one color. vertex, factor, light: linear RGB. image: sRGB. kind: the type of vertex colors."""
+    """A box of one color. vertex, factor, light: linear RGB. image: sRGB. kind: the type of vertex colors.
+
+    is_glossy: factor and image are those of a specular-glossiness material.
+    """
 
     name: str
     vertex: np.ndarray | None = None
@@ -36,6 +39,7 @@ class Colored:
     image: tuple[int, ...] | None = None
     light: np.ndarray | None = None
     kind: str = "<f4"
+    is_glossy: bool = False
 
     @property
     def displayed(self) -> np.ndarray:
@@ -86,6 +90,11 @@ class Colored:
         material: dict[str, Any] = {"pbrMetallicRoughness": look}
         if self.light is not None:
             look["baseColorFactor"], material["emissiveFactor"] = [0.0, 0.0, 0.0, 1.0], self.light.tolist()
+        if self.is_glossy:
+            names = {"baseColorFactor": "diffuseFactor", "baseColorTexture": "diffuseTexture"}
+            gloss = {given: look[name] for name, given in names.items() if name in look}
+            material = {"extensions": {"KHR_materials_pbrSpecularGlossiness": gloss}}
+            document["extensionsUsed"] = list(material["extensions"])
         if self.factor is not None or self.image is not None or self.light is not None:
             document["materials"], primitive["material"] = [material], 0
         document["meshes"] = [{"primitives": [primitive]}]
@@ -124,6 +133,8 @@ COLORED = (
     Colored("vertices and image", vertex=decoded(MID), image=TINT),
     Colored("all three", vertex=decoded(MID), image=TINT, factor=decoded(SATURATED)),
     Colored("light alone", light=decoded(SATURATED)),
+    Colored("diffuse color", factor=decoded(SATURATED), is_glossy=True),
+    Colored("diffuse image and color", image=TINT, factor=decoded(MID), is_glossy=True),
     Colored("nothing stated"),
 )
 """Midtones, dark and saturated colors; every product of vertex colors, factor and image."""

@@ -33,6 +33,7 @@ BARE: Document = {
 }  # fmt: skip
 """Material of meshes without any color: other readers show the gray that the project shows."""
 
+_GLOSS = "KHR_materials_pbrSpecularGlossiness"
 _NUMBERS = {5121: ("<u1", 255), 5123: ("<u2", 65535), 5126: ("<f4", 1)}
 _WIDTHS = {"VEC3": 3, "VEC4": 4}
 _OFFSETS = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
@@ -56,9 +57,13 @@ def displayed_glb(data: bytes, document: Document, file: str) -> bytes:
     is_colored = any("COLOR_0" in _mapping(primitive, "attributes") for primitive in primitives)
     if not is_colored and not any(_is_tinted(material) for material in _listed(document, "materials")):
         return data
-    pass_ = _Pass(copy.deepcopy(document), _binary_of(data), file)
-    pass_.convert()
-    return _closed(pass_.document, bytes(pass_.binary))
+    copied = _Pass(copy.deepcopy(document), _binary_of(data), file)
+    try:
+        copied.convert()
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        problem = f"cannot be converted ({type(error).__name__}: {error})"[:200]
+        raise InputError(file, "colors", problem, "export it again") from error
+    return _closed(copied.document, bytes(copied.binary))
 
 
 def put_linear(tree: Document) -> None:
@@ -139,7 +144,7 @@ class _Pass:
         """Index of a new accessor with the display bytes of linear colors, shape (n, 4)."""
         alpha = np.round(255 * np.clip(linear[:, 3:], 0, 1)).astype(np.uint8)
         data = np.hstack([bytes_of_linear(linear[:, :3]), alpha]).tobytes()
-        buffers, views = self.document["buffers"], self.document["bufferViews"]
+        buffers, views = (self.document.setdefault(name, []) for name in ("buffers", "bufferViews"))
         if not buffers or "uri" in buffers[0]:  # only the first buffer may be the binary chunk
             text = base64.b64encode(data).decode()
             buffers.append({"uri": f"data:application/octet-stream;base64,{text}", "byteLength": len(data)})
@@ -210,7 +215,7 @@ class _Pass:
 
 def _is_tinted(material: Any) -> bool:
     """True if a material has a color that needs conversion."""
-    return "baseColorFactor" in _mapping(material, "pbrMetallicRoughness") or _is_black(material)
+    return "baseColorFactor" in _mapping(material, "pbrMetallicRoughness") or _GLOSS in _mapping(material, "extensions")
 
 
 def _is_black(material: Any) -> bool:
@@ -221,22 +226,28 @@ def _is_black(material: Any) -> bool:
 
 
 def _linear_look(material: Any) -> Array | None:
-    """Linear base color factor of a material, shape (4,), with emitted light in its place if it reflects none.
+    """Linear base color factor of a material, shape (4,). Diffuse color or emitted light take its place, in the material too.
 
     None if its factor is not a color.
     """
+    gloss = _mapping(_mapping(material, "extensions"), _GLOSS)
+    if gloss:
+        names = {"diffuseFactor": "baseColorFactor", "diffuseTexture": "baseColorTexture"}
+        look = {name: gloss[given] for given, name in names.items() if given in gloss}
+        material["pbrMetallicRoughness"] = {"baseColorFactor": [1.0] * 4, "metallicFactor": 0.0, **look}
+        del material["extensions"][_GLOSS]
     if _is_black(material):
         look, light = material["pbrMetallicRoughness"], _numbers(material.pop("emissiveFactor"), 3)
-        strength = _mapping(_mapping(material, "extensions"), "KHR_materials_emissive_strength").get("emissiveStrength", 1.0)
-        scale = float(strength) if isinstance(strength, int | float) else 1.0
+        stated = _mapping(_mapping(material, "extensions"), "KHR_materials_emissive_strength").get("emissiveStrength", 1.0)
+        strength, factor = _numbers([stated], 1), _numbers(look["baseColorFactor"], 4)
         assert light is not None
-        look["baseColorFactor"] = [*np.clip(light * scale, 0, 1).tolist(), look["baseColorFactor"][3]]
+        assert factor is not None
+        look["baseColorFactor"] = [*np.clip(light * (1.0 if strength is None else strength), 0, 1).tolist(), float(factor[3])]
         texture = material.pop("emissiveTexture", None)
         look.pop("baseColorTexture", None)
         if texture is not None:
             look["baseColorTexture"] = texture
-    stated = _mapping(material, "pbrMetallicRoughness").get("baseColorFactor", [1.0] * 4)
-    return _numbers(stated, 4)
+    return _numbers(_mapping(material, "pbrMetallicRoughness").get("baseColorFactor", [1.0] * 4), 4)
 
 
 def _display_factor(material: Any) -> None:

@@ -151,7 +151,7 @@ def test_vertex_colors_that_cannot_be_read_are_refused(damage: Callable[[Any, An
         load_glb(close_glb(document, binary), "chair.glb")
 
 
-FACTORS = [[0.5, 0.5], "red", [1, 2, 3, "4"], [10**400, 0, 0, 1], None, {}, [True, 0, 0, 1], [[1, 0, 0, 1]]]
+FACTORS = [[0.0, 0.0, 0.0], [0.5, 0.5], "red", [1, 2, 3, "4"], [10**400, 0, 0, 1], None, {}, [True, 0, 0, 1], [[1, 0, 0, 1]]]
 
 
 @pytest.mark.parametrize("factor", FACTORS, ids=str)
@@ -159,6 +159,8 @@ FACTORS = [[0.5, 0.5], "red", [1, 2, 3, "4"], [10**400, 0, 0, 1], None, {}, [Tru
 def test_factors_of_any_form_are_read_or_refused(factor: Any, is_painted: bool) -> None:
     document, binary = open_glb(Colored("factor", vertex=decoded(MID) if is_painted else None, factor=decoded(MID)).glb())
     document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = factor
+    document["materials"][0]["emissiveFactor"] = [0.0, 1.0, 0.0]
+    document["materials"][0]["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": factor}}
     try:
         load_glb(close_glb(document, binary), "chair.glb")
     except InputError as error:
@@ -166,6 +168,16 @@ def test_factors_of_any_form_are_read_or_refused(factor: Any, is_painted: bool) 
     else:
         refusal = "chair.glb: "
     assert refusal.startswith("chair.glb: ")
+
+
+def test_documents_that_lack_what_colors_need_are_refused() -> None:
+    for name in ("bufferViews", "buffers", "accessors", "materials"):
+        for value in (None, {}, [], 7):
+            document, binary = open_glb(Colored("both", vertex=decoded(MID), factor=decoded(MID)).glb())
+            document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]].pop("bufferView")
+            document[name] = value
+            with pytest.raises(InputError, match=r"^mesh\.glb: "):
+                load_glb(close_glb(document, binary))
 
 
 def test_names_that_no_encoding_has_are_refused_next_to_colors() -> None:
@@ -181,7 +193,7 @@ def test_names_that_no_encoding_has_are_refused_next_to_colors() -> None:
 def test_the_document_of_a_reader_stays_as_it_is() -> None:
     from tasks.geometry.gltf_colors import displayed_glb
 
-    data = COLORED[-3].glb()
+    data = COLORED[-2].glb()
     document, _ = open_glb(data)
     before = copy.deepcopy(document)
     displayed_glb(data, document, "box.glb")
