@@ -26,9 +26,11 @@ from tasks.exports.mjcf import mjcf_files
 from tasks.exports.sdf import sdf_files
 from tasks.exports.urdf import urdf_files
 from tasks.exports.usd import write_usd
+from tasks.exports.usd.assets import asset_name
 from tasks.geometry.meshes import load_glb, surface_of
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import look_at
+from tasks.library.usd.stage import Flattened
 from tasks.simulation.soups import soup_of
 from tests.colored import COLORED, Colored, decoded, encoded
 from tests.replicas import Object, replica_of, rows_of, translation
@@ -138,6 +140,15 @@ def test_usd_states_linear_colors_to_its_own_shading(replica: Replica, tmp_path:
             assert shader.GetInput("varname").Get() == "displayColor"
             linear = np.array(UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor").ComputeFlattened())
         found[path.split("/Objects/")[1].split("/")[0][-4:]] = encoded(linear).reshape(-1, 3)
+    agree(found)
+
+
+def test_usd_is_read_back_in_its_colors(replica: Replica, tmp_path: Path) -> None:
+    write_usd(tmp_path, replica, ExportsConfig())
+    found: Colors = {}
+    for index, body in enumerate(replica.bodies):
+        (path,) = tmp_path.rglob(f"{asset_name(body, ExportsConfig().usd)}.usda")
+        found[f"{index + 1:04d}"] = surface_of(Flattened(path, path.parent).parts()).colors
     agree(found)
 
 
