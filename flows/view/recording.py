@@ -137,9 +137,9 @@ def _log_model(
         )  # fmt: skip
         stream.log(path, mesh, static=True, strict=True)
     if len(painted) < len(parts) or color is not None:
-        others = data if not painted else dump_glb([part for part in parts if cast(Any, part.visual).kind == "texture"])
+        content = data if not painted else dump_glb([part for part in parts if cast(Any, part.visual).kind == "texture"])
         place = f"{path}/textured" if painted else path
-        stream.log(place, rerun.Asset3D(contents=others, media_type=GLB, albedo_factor=color), static=True, strict=True)
+        stream.log(place, rerun.Asset3D(contents=content, media_type=GLB, albedo_factor=color), static=True, strict=True)
 
 
 def _log_navmesh(stream: Any, agent: str, triangles: Mapping[str, Any]) -> None:

@@ -17,8 +17,8 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.containers import weigh_glb
 from tasks.geometry.colors import bytes_of_linear, linear_of, shorts_of_bytes, tinted
+from tasks.geometry.colors.gltf import COLORS, GRAY, displayed_glb, put_linear
 from tasks.geometry.encoded_images import keep_encoded, put_encoded, textures
-from tasks.geometry.gltf_colors import COLORS, GRAY, displayed_glb, put_linear
 from tasks.geometry.plain_glb import PlainBody, read_plain, write_plain
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 from tasks.geometry.triangles import face_crosses, spread_by
@@ -105,7 +105,7 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
         with np.errstate(invalid="ignore", over="ignore"):  # what comes of it is looked at below
             part.apply_transform(Y_UP_TO_Z_UP @ poses[node])
         part.metadata["name"] = name
-        if part.visual.kind is None:  # the color of glTF's default material
+        if cast(Any, part.visual).kind is None:  # the color of glTF's default material
             cast(Any, part.visual).vertex_colors = np.full((len(part.vertices), 4), 255, dtype=np.uint8)
         if not np.isfinite(part.vertices).all():
             raise InputError(file, f"node {name}", "has coordinates that are not finite", "export it again")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.geometry.colors import bytes_of_shorts, shorts_of_bytes
-from tasks.geometry.gltf_colors import BARE, PAINT
+from tasks.geometry.colors.gltf import BARE, PAINT
 
 if TYPE_CHECKING:
     import trimesh

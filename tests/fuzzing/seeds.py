@@ -28,10 +28,10 @@ from tasks.geometry.transforms import translation, yaw_pose
 from tasks.models import model_id_of
 from tasks.weights import to_safetensors
 from tests import capture_scans, scans
-from tests.colored import COLORED
 from tests.conftest import REPOSITORY
 from tests.fuzzing.cases import Case, read_case
 from tests.replicas import Object, cube, rows_of, with_navigation
+from tests.tasks.geometry.colored import COLORED
 
 REALDATA = Path(os.environ.get("METASCENES_REALDATA") or REPOSITORY.parent / "shared" / "realdata")
 """Files of others, where there are any (see tests/conftest.py)."""

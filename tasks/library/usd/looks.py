@@ -20,7 +20,7 @@ TEXTURES = ("diffuse_texture", "base_color_texture")
 """Inputs of materials that hold a base color; UsdPreviewSurface's, and those of OmniPBR, which states pictures beside it."""
 
 
-class Look(NamedTuple):
+class BaseColor(NamedTuple):
     """Appearance of a prim. color: linear, 0 to 1, the factor of an image if there is one. file: the image.
 
     is_linear: the image's bytes are linear values, as `sourceColorSpace` = `raw` states.
@@ -31,7 +31,7 @@ class Look(NamedTuple):
     is_linear: bool = False
 
 
-def look_of(prim: Any) -> Look:
+def look_of(prim: Any) -> BaseColor:
     """The base color of the material that is bound to a prim; the light that it emits if it reflects none."""
     from pxr import UsdShade
 
@@ -42,7 +42,7 @@ def look_of(prim: Any) -> Look:
             continue
         inputs = [_input(shader, name) for name in COLORS]
         light = _input(shader, EMISSION)
-        if light != Look() and light.color != BLACK and [given for given in inputs if given != Look()] == [Look(BLACK)]:
+        if light != BaseColor() and light.color != BLACK and [given for given in inputs if given != BaseColor()] == [BaseColor(BLACK)]:
             return light
         color = next((given.color for given in inputs if given.color), None)
         file = next((given.file for given in inputs if given.file), None)
@@ -50,17 +50,17 @@ def look_of(prim: Any) -> Look:
         for name in TEXTURES:
             file = file or _picture(shader.GetInput(name))
         if color or file:
-            return Look(color, file, is_linear)
-    return Look()
+            return BaseColor(color, file, is_linear)
+    return BaseColor()
 
 
-def _input(shader: Any, name: str) -> Look:
+def _input(shader: Any, name: str) -> BaseColor:
     """A color input: its value, or the image and scale of a texture reader behind it."""
     from pxr import UsdShade
 
     given = shader.GetInput(name)
     if not given:
-        return Look()
+        return BaseColor()
     for attribute in UsdShade.Utils.GetValueProducingAttributes(given):
         behind = UsdShade.Shader(attribute.GetPrim())
         if behind and behind.GetIdAttr().Get() == "UsdUVTexture":
@@ -70,12 +70,12 @@ def _input(shader: Any, name: str) -> Look:
             is_factor = len(factor) == 1 and np.isfinite(factor).all() and (factor[0, :3] != 1.0).any()
             color = _color(factor[0, :3]) if is_factor else None
             is_linear = bool(space) and str(first(space.GetAttr())) == "raw"
-            return Look(color, _picture(behind.GetInput("file")), is_linear)
+            return BaseColor(color, _picture(behind.GetInput("file")), is_linear)
         is_color = attribute.GetTypeName().scalarType.type.typeName == "GfVec3f"
         value = numbers(first(attribute) if is_color else None, np.float64, 3)
         if len(value) == 1 and np.isfinite(value).all():
-            return Look(_color(value[0]))
-    return Look()
+            return BaseColor(_color(value[0]))
+    return BaseColor()
 
 
 def _color(values: Array) -> Color:

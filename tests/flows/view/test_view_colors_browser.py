@@ -15,10 +15,10 @@ from flows.view.bundle import BUILT
 from tasks import exports
 from tasks.exports.glb import glb_files
 from tasks.geometry.meshes import dump_glb, load_glb
-from tests.colored import COLORED
 from tests.conftest import REPOSITORY
 from tests.flows.view.test_view_browser import browser
 from tests.replicas import Object, replica_of, rows_of, translation
+from tests.tasks.geometry.colored import COLORED
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route

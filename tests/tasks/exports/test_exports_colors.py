@@ -32,8 +32,8 @@ from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import look_at
 from tasks.library.usd.stage import Flattened
 from tasks.simulation.soups import soup_of
-from tests.colored import COLORED, Colored, decoded, encoded
 from tests.replicas import Object, replica_of, rows_of, translation
+from tests.tasks.geometry.colored import COLORED, Colored, decoded, encoded
 
 MAX_DIFFERENCE = 2.0
 """Of 255: each border rounds once, and 8 bits are two borders at most."""
@@ -181,12 +181,12 @@ def test_urdf_and_sdf_state_displayed_colors(replica: Replica) -> None:
     found = {}
     (path,) = [path for path in files if path.endswith(".sdf")]
     for model in ElementTree.fromstring(files[path]).iterfind(".//model"):
-        visual = model.find(".//visual")
-        if visual is None or not model.attrib["name"].startswith("box_"):
+        shown = model.find(".//visual")
+        if shown is None or not model.attrib["name"].startswith("box_"):
             continue
-        mesh = f"{Path(path).parent}/{visual.findtext('geometry/mesh/uri')}"
+        mesh = f"{Path(path).parent}/{shown.findtext('geometry/mesh/uri')}"
         color = mtl_color(files[mesh.replace(".obj", ".mtl")], str(Path(mesh).parent), files)
-        diffuse = visual.findtext("material/diffuse")
+        diffuse = shown.findtext("material/diffuse")
         assert diffuse is None or np.abs(255 * numbers(diffuse)[:3] - color).max() < 0.01
         found[model.attrib["name"][-4:]] = color
     agree(found)

@@ -18,8 +18,8 @@ from schemas.errors import InputError
 from tasks.containers import close_glb, open_glb
 from tasks.geometry import colors as c
 from tasks.geometry.meshes import dump_glb, load_glb, material_of, surface_of_glb, vertex_colors
-from tests.colored import COLORED, MID, SATURATED, TINT, Colored, decoded, encoded
 from tests.conftest import REPOSITORY
+from tests.tasks.geometry.colored import COLORED, MID, SATURATED, TINT, Colored, decoded, encoded
 
 BYTES = np.arange(256, dtype=np.uint8)
 
@@ -151,7 +151,7 @@ def test_vertex_colors_that_cannot_be_read_are_refused(damage: Callable[[Any, An
         load_glb(close_glb(document, binary), "chair.glb")
 
 
-FACTORS = [[0.0, 0.0, 0.0], [0.5, 0.5], "red", [1, 2, 3, "4"], [10**400, 0, 0, 1], None, {}, [True, 0, 0, 1], [[1, 0, 0, 1]]]
+FACTORS: list[Any] = [[0.0, 0.0, 0.0], [0.5, 0.5], "red", [1, 2, 3, "4"], [10**400, 0, 0, 1], None, {}, [True, 0, 0, 1], [[1, 0, 0, 1]]]
 
 
 @pytest.mark.parametrize("factor", FACTORS, ids=str)
@@ -171,8 +171,9 @@ def test_factors_of_any_form_are_read_or_refused(factor: Any, is_painted: bool) 
 
 
 def test_documents_that_lack_what_colors_need_are_refused() -> None:
+    values: tuple[Any, ...] = (None, {}, [], 7)
     for name in ("bufferViews", "buffers", "accessors", "materials"):
-        for value in (None, {}, [], 7):
+        for value in values:
             document, binary = open_glb(Colored("both", vertex=decoded(MID), factor=decoded(MID)).glb())
             document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]].pop("bufferView")
             document[name] = value
@@ -191,7 +192,7 @@ def test_names_that_no_encoding_has_are_refused_next_to_colors() -> None:
 
 
 def test_the_document_of_a_reader_stays_as_it_is() -> None:
-    from tasks.geometry.gltf_colors import displayed_glb
+    from tasks.geometry.colors.gltf import displayed_glb
 
     data = COLORED[-2].glb()
     document, _ = open_glb(data)
@@ -207,4 +208,4 @@ def test_no_other_module_knows_a_color_space() -> None:
             text = path.read_text()
             if any(sign in text for sign in ("0.04045", "0.0031308", "** 2.4", "** 2.2", "1.055")):
                 others.append(Path(path).relative_to(REPOSITORY).as_posix())
-    assert others == ["tasks/geometry/colors.py"]
+    assert others == ["tasks/geometry/colors/__init__.py"]

@@ -23,7 +23,7 @@ from tasks.library.units import canonical_parts, convention_of
 from tasks.library.usd.child import drawn_on, unpacked
 from tasks.library.usd.stage import Flattened
 from tests import attacks
-from tests.colored import decoded, encoded
+from tests.tasks.geometry.colored import decoded, encoded
 from tests.tasks.library.models import as_glb, as_obj, as_usdz, chair, farthest, write_usd
 
 

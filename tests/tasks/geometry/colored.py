@@ -54,10 +54,11 @@ class Colored:
         """A GLB of the box, which stands on the floor."""
         box = trimesh.creation.box((SIDE_M, SIDE_M, SIDE_M))
         points = (np.asarray(box.vertices) + np.array([0, SIDE_M / 2, 0])).astype("<f4")
-        chunks, document = [], _document()
+        chunks: list[bytes] = []
+        document = _document()
 
         def add(data: bytes, **accessor: Any) -> int:
-            start = sum(map(len, chunks))
+            start = sum(len(chunk) for chunk in chunks)
             chunks.append(data + b"\0" * (-len(data) % 4))
             document["bufferViews"].append({"buffer": 0, "byteOffset": start, "byteLength": len(data)})
             number = len(document["bufferViews"]) - 1
