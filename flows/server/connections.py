@@ -275,9 +275,9 @@ class CountedErrors(logging.Filter):
 
     def filter(self, record: logging.LogRecord) -> bool:
         """See logging.Filter. Several handlers are asked about one record; the first decides for all."""
-        if not hasattr(record, "is_written"):
-            record.is_written = self._count(record)
-        return bool(record.is_written)
+        if "is_written" not in vars(record):
+            vars(record)["is_written"] = self._count(record)
+        return bool(vars(record)["is_written"])
 
     def _count(self, record: logging.LogRecord) -> bool:
         kind, error, trace = record.exc_info or (None, None, None)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,8 @@ from flows.view.scene import Document, Scenes
 from schemas.errors import InputError
 from schemas.files import write_whole
 from schemas.parsing import json_value
-from tasks.geometry.meshes import surface_of_glb
-from tasks.geometry.transforms import Y_UP_TO_Z_UP, matrix, quaternion_wxyz
+from tasks.geometry.meshes import dump_glb, load_glb, surface_of, surface_of_glb
+from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP, matrix, quaternion_wxyz
 
 TIMELINE, MOMENTS = "pose", ("proposed", "optimized", "settled")
 
@@ -35,7 +35,7 @@ COLLIDER_RGBA, NAVMESH_RGBA, SUPPORT_RGBA = (90, 180, 110, 110), (70, 130, 220, 
 def write_recording(scenes: Scenes, scene_id: str, out: Path) -> int:
     """Write a scene as a recording, whole or not at all; its size in bytes.
 
-    World frame: right-handed, +Z up, metres. Assets and colliders keep their materials, as they are in the lake.
+    World frame: right-handed, +Z up, metres. Textured parts and colliders are GLBs as in the lake.
 
     Raises:
         InputError: there is no such scene, the package is not installed, or recording was switched off.
@@ -120,12 +120,26 @@ def _log_object(stream: Any, row: Mapping[str, Any], scenes: Scenes) -> None:
 def _log_model(
     stream: Any, path: str, data: bytes, scale: Sequence[float] = (1.0, 1.0, 1.0), color: tuple[int, int, int, int] | None = None
 ) -> None:
-    """A GLB, turned from its +Y up and then scaled along its own axes; one `color` takes the place of its materials."""
+    """A GLB, turned from its +Y up and then scaled along its own axes; one `color` takes the place of its materials.
+
+    Parts with colors of vertices are meshes of their own: Rerun takes the linear `COLOR_0` of a GLB for sRGB.
+    """
     import rerun
 
     frame = np.diag(np.asarray(scale, dtype=np.float64)) @ Y_UP_TO_Z_UP[:3, :3]
     stream.log(path, rerun.Transform3D(mat3x3=frame), static=True, strict=True)
-    stream.log(path, rerun.Asset3D(contents=data, media_type=GLB, albedo_factor=color), static=True, strict=True)
+    parts = [] if color is not None else load_glb(data)
+    painted = [part for part in parts if cast(Any, part.visual).kind != "texture"]
+    if painted:
+        surface = surface_of(painted).transformed(Z_UP_TO_Y_UP)
+        mesh = rerun.Mesh3D(
+            vertex_positions=surface.vertices, triangle_indices=surface.faces.astype(np.uint32), vertex_colors=surface.colors
+        )  # fmt: skip
+        stream.log(path, mesh, static=True, strict=True)
+    if len(painted) < len(parts) or color is not None:
+        content = data if not painted else dump_glb([part for part in parts if cast(Any, part.visual).kind == "texture"])
+        place = f"{path}/textured" if painted else path
+        stream.log(place, rerun.Asset3D(contents=content, media_type=GLB, albedo_factor=color), static=True, strict=True)
 
 
 def _log_navmesh(stream: Any, agent: str, triangles: Mapping[str, Any]) -> None:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from tasks.alignment import Fit, Sample
 from tasks.alignment.distances import disc_distances
+from tasks.geometry.colors import linear_of
 from tasks.geometry.meshes import Surface, sample_surface
 from tasks.geometry.triangles import surface_area
 from tasks.library.categories import category_similarity
@@ -146,9 +147,7 @@ def _least(colors: Array, nearby: Array) -> float:
 
 def lab_of(colors: NDArray[np.uint8]) -> Array:
     """sRGB colors, shape (n, 3), in CIE L*a*b* under D65 (IEC 61966-2-1; CIE 15), shape (n, 3)."""
-    channel = colors.astype(np.float64) / 255
-    linear = np.where(channel <= 0.04045, channel / 12.92, ((channel + 0.055) / 1.055) ** 2.4)
     to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-    ratio = linear @ to_xyz.T / np.array([0.9505, 1.0, 1.089])
+    ratio = linear_of(colors / 255.0) @ to_xyz.T / np.array([0.9505, 1.0, 1.089])
     root = np.where(ratio > (6 / 29) ** 3, np.cbrt(ratio), ratio / (3 * (6 / 29) ** 2) + 4 / 29)
     return np.column_stack([116 * root[:, 1] - 16, 500 * (root[:, 0] - root[:, 1]), 200 * (root[:, 1] - root[:, 2])])

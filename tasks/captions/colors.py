@@ -8,6 +8,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tasks.geometry.colors import linear_of
+
 Array = NDArray[np.float64]
 
 D65_WHITE: Array = np.array([0.95047, 1.0, 1.08883])
@@ -81,9 +83,7 @@ class ColorNames:
 
 def lab(rgb: ArrayLike) -> Array:
     """CIELAB (D65) of sRGB colors 0..255. Shape (n, 3) to (n, 3): L in 0..100, a, b."""
-    value = np.asarray(rgb, dtype=np.float64) / 255.0
-    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    t = linear @ _TO_XYZ.T / D65_WHITE
+    t = linear_of(np.asarray(rgb, dtype=np.float64) / 255.0) @ _TO_XYZ.T / D65_WHITE
     f = np.where(t > (6 / 29) ** 3, np.cbrt(t), t / (3 * (6 / 29) ** 2) + 4 / 29)
     return np.stack([116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], axis=-1)
 

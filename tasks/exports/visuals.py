@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tasks.exports.bodies import Shape, digest
 from tasks.exports.gltf import node_textures
+from tasks.geometry.colors import tinted
 from tasks.geometry.encoded_images import encoded_file
 from tasks.geometry.meshes import material_of, vertex_colors
 
@@ -21,12 +22,28 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Texture:
-    """An image file: its name in the folder `textures`, its bytes, and the factor [0..1] (3,) that it is multiplied by."""
+    """An image file: its name in the folder `textures`, its bytes, and the linear factor, 0 to 1, shape (3,)."""
 
     file: str
     data: bytes
     factor: tuple[float, ...]
     alpha: str
+
+    def baked(self) -> Texture:
+        """The same look with the factor in the image.
+
+        Formats with display values have no linear factor, and their readers multiply in different color spaces.
+        """
+        from PIL import Image
+
+        if all(value == 1.0 for value in self.factor):
+            return self
+        image = Image.open(io.BytesIO(self.data))
+        has_alpha = image.mode in ("RGBA", "LA") or "transparency" in image.info
+        pixels = np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
+        data = _png(tinted(pixels, self.factor))
+        name = f"{digest(hashlib.sha256(data).hexdigest(), 12)}.png"
+        return dataclasses.replace(self, file=name, data=data, factor=(1.0, 1.0, 1.0))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,7 +171,7 @@ def _look(part: trimesh.Trimesh) -> Any:
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:
-    """An image, shape (h, w, 3), as PNG."""
+    """An image, shape (h, w, 3 or 4), as PNG."""
     from PIL import Image
 
     buffer = io.BytesIO()

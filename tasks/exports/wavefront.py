@@ -31,7 +31,7 @@ class Painted:
     """A mesh of one color or one image.
 
     vertices: [m], shape (n, 3), in the frame that the holder states. faces: triangles, shape (m, 3). uv: texture coordinates,
-    origin at the lower left, shape (n, 2), with a texture only. color: sRGB in 0..1; with a texture, what it is multiplied by.
+    origin at the lower left, shape (n, 2), with a texture only. color: sRGB in 0..1; white with a texture.
     """
 
     vertices: NDArray[np.float64]
@@ -114,7 +114,10 @@ def load_obj(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]] | Non
 
 
 def dump_mtl(color: Sequence[float], image: str | None = None) -> bytes:
-    """An MTL file with the material `look`: color in 0..1, shape (3,), and an image beside it."""
+    """An MTL file with the material `look`: color, sRGB in 0..1, shape (3,), and an image next to the file.
+
+    MTL names no color space; readers show `Kd` as it is written or take it for sRGB, like `map_Kd`.
+    """
     r, g, b = (round(float(value), 6) for value in color)
     lines = ["newmtl look", f"Kd {r!r} {g!r} {b!r}", "Ka 0.0 0.0 0.0", "Ks 0.0 0.0 0.0", "d 1.0", "illum 1"]
     return ("\n".join([*lines, f"map_Kd {image}"] if image else lines) + "\n").encode()
@@ -169,7 +172,8 @@ def _rounded(values: ArrayLike) -> list[list[float]]:
 def _painted(visual: Visual) -> list[Painted]:
     """A group of parts, split by color."""
     if visual.texture is not None:
-        return [Painted(visual.vertices, visual.faces, visual.uv, visual.texture.factor, visual.texture)]
+        texture = visual.texture.baked()
+        return [Painted(visual.vertices, visual.faces, visual.uv, texture.factor, texture)]
     assert visual.colors is not None
     if (visual.colors == visual.colors[0]).all():
         return [Painted(visual.vertices, visual.faces, None, _unit(visual.colors[0]), None)]

@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.containers import weigh_glb
+from tasks.geometry.colors import bytes_of_linear, linear_of, shorts_of_bytes, tinted
+from tasks.geometry.colors.gltf import COLORS, GRAY, displayed_glb, put_linear
 from tasks.geometry.encoded_images import keep_encoded, put_encoded, textures
 from tasks.geometry.plain_glb import PlainBody, read_plain, write_plain
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
@@ -30,7 +32,7 @@ class Surface:
     """Triangles as plain arrays, in the frame that the holder states.
 
     vertices: Positions [m], shape (n, 3) float64. faces: Vertex indices, shape (m, 3) int64.
-    colors: RGB per vertex, shape (n, 3) uint8.
+    colors: sRGB per vertex, shape (n, 3) uint8.
     """
 
     vertices: NDArray[np.float64]
@@ -68,7 +70,8 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     """Parts of a GLB in a +Z-up frame [m], node transforms applied, in the order of the file's node names.
 
     Every part's `metadata["name"]` is its node's name; where a node's mesh has several primitives, their numbers are parts of
-    it: `floor||0`, `chair_2|chair|seat_0`. Textures and vertex colors stay. The same file gives the same names.
+    it: `floor||0`, `chair_2|chair|seat_0`. Textures and vertex colors stay; colors are display values, and white where
+    the file states none. The same file gives the same names.
 
     Raises:
         InputError: the file is no GLB, would take more than the budget, holds no triangles, triangles of vertices that are
@@ -80,6 +83,7 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     plain = read_plain(data, document)
     if plain is not None:
         return [body.mesh() for body in plain]
+    data = displayed_glb(data, document, file)
     try:
         with warnings.catch_warnings(), np.errstate(invalid="ignore", over="ignore"):
             warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here
@@ -101,6 +105,8 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
         with np.errstate(invalid="ignore", over="ignore"):  # what comes of it is looked at below
             part.apply_transform(Y_UP_TO_Z_UP @ poses[node])
         part.metadata["name"] = name
+        if cast(Any, part.visual).kind is None:  # the color of glTF's default material
+            cast(Any, part.visual).vertex_colors = np.full((len(part.vertices), 4), 255, dtype=np.uint8)
         if not np.isfinite(part.vertices).all():
             raise InputError(file, f"node {name}", "has coordinates that are not finite", "export it again")
         parts.append(part)
@@ -234,8 +240,12 @@ def dump_glb(parts: Sequence[trimesh.Trimesh], names: Sequence[str] | None = Non
         turned.apply_transform(Z_UP_TO_Y_UP)
         turned.metadata.clear()
         put_encoded(turned)
+        visual: Any = turned.visual
+        if visual.kind in ("vertex", "face"):
+            turned.vertex_attributes[COLORS] = shorts_of_bytes(np.asarray(visual.vertex_colors, dtype=np.uint8))
+            turned.visual = trimesh.visual.ColorVisuals(turned)
         scene.add_geometry(turned, node_name=name, geom_name=name)
-    data = scene.export(file_type="glb", include_normals=False)
+    data = scene.export(file_type="glb", include_normals=False, tree_postprocessor=put_linear)
     return bytes(data)
 
 
@@ -284,13 +294,13 @@ def asset_surface(blob: str, blobs: Mapping[str, bytes], file: str, cache: Mutab
 
 
 def vertex_colors(part: trimesh.Trimesh) -> NDArray[np.uint8]:
-    """RGB per vertex, shape (n, 3): vertex colors, else the texture at the vertex, else the material's color."""
+    """sRGB per vertex, shape (n, 3): vertex colors, else the texture at the vertex, else the material's color."""
     visual: Any = part.visual
     if visual.kind == "texture":
         uv, (image, factor) = visual.uv, material_of(part)
         if image is not None and uv is not None and len(uv) == len(part.vertices):
             return sample_texture(image, np.asarray(uv), factor)
-        return np.tile(np.round(factor * 255).astype(np.uint8), (len(part.vertices), 1))
+        return np.tile(bytes_of_linear(factor), (len(part.vertices), 1))
     if visual.kind is None:
         return _gray(len(part.vertices))
     return np.asarray(visual.vertex_colors, dtype=np.uint8)[:, :3]
@@ -298,11 +308,14 @@ def vertex_colors(part: trimesh.Trimesh) -> NDArray[np.uint8]:
 
 def _gray(count: int) -> NDArray[np.uint8]:
     """Colors of vertices that have none, shape (count, 3)."""
-    return np.full((count, 3), 180, dtype=np.uint8)
+    return np.full((count, 3), GRAY, dtype=np.uint8)
 
 
 def material_of(part: trimesh.Trimesh) -> tuple[NDArray[np.uint8] | None, NDArray[np.float64]]:
-    """Base color texture, shape (h, w, 3), or None, and base color factor in 0..1, shape (3,), of a textured part."""
+    """Base color texture of a textured part, sRGB, shape (h, w, 3), or None; and its linear base color factor, shape (3,).
+
+    Materials hold display values here, those of a GLB too.
+    """
     visual: Any = part.visual
     material = visual.material
     image = getattr(material, "baseColorTexture", None)
@@ -310,19 +323,18 @@ def material_of(part: trimesh.Trimesh) -> tuple[NDArray[np.uint8] | None, NDArra
     if image is None and factor is None:
         image = getattr(material, "image", None)
         factor = getattr(material, "diffuse", None)
-    color = np.ones(3) if factor is None else np.asarray(factor, dtype=np.float64)[:3]
-    if color.max(initial=0.0) > 1.0:
-        color = color / 255.0
-    return (None if image is None else np.asarray(image.convert("RGB"))), color
+    color = np.ones(3) if factor is None else np.asarray(factor)[:3]
+    linear = linear_of(color / 255.0 if color.dtype.kind in "ui" else color)
+    return (None if image is None else np.asarray(image.convert("RGB"))), linear
 
 
 def sample_texture(image: NDArray[np.uint8], uv: NDArray[np.float64], factor: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Texture color at `uv`, shape (n, 2), wrapped, origin at the lower left, nearest pixel; times `factor`. Shape (n, 3)."""
+    """Texture color at `uv`, shape (n, 2), wrapped, origin at the lower left, nearest pixel; times a linear `factor`. Shape (n, 3)."""
     height, width = image.shape[:2]
     wrapped = np.nan_to_num(uv) % 1.0
     column = np.minimum((wrapped[:, 0] * width).astype(np.int64), width - 1)
     row = np.minimum(((1.0 - wrapped[:, 1]) * height).astype(np.int64), height - 1)
-    return np.clip(np.round(image[row, column] * factor), 0, 255).astype(np.uint8)
+    return tinted(image[row, column], factor)
 
 
 def sample_surface(

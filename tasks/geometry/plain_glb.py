@@ -1,6 +1,6 @@
 """GLBs of triangles with one color per vertex, or none: what nearly every mesh of a lake is, written and read without a scene graph.
 
-The bytes are those that trimesh writes; what is not as plain as that is the general reader's and writer's
+The document is the one that trimesh and `put_linear` make. Other meshes are for the general reader and writer
 (`tasks.geometry.meshes`).
 """
 
@@ -15,6 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.geometry.colors import bytes_of_shorts, shorts_of_bytes
+from tasks.geometry.colors.gltf import BARE, PAINT
+
 if TYPE_CHECKING:
     import trimesh
 
@@ -25,13 +28,13 @@ _WORLD = "world"  # the root of trimesh's scenes, which no node may be called
 _TRIANGLES = 4
 _FACES = {"componentType": 5125, "type": "SCALAR"}
 _POINTS = {"componentType": 5126, "type": "VEC3", "byteOffset": 0}
-_COLORS = {"componentType": 5121, "normalized": True, "type": "VEC4", "byteOffset": 0}
-_TREE = {"scene", "scenes", "asset", "accessors", "meshes", "nodes", "buffers", "bufferViews"}
+_COLORS = {"componentType": 5123, "normalized": True, "type": "VEC4", "byteOffset": 0}
+_TREE = {"scene", "scenes", "asset", "accessors", "materials", "meshes", "nodes", "buffers", "bufferViews"}
 
 
 @dataclasses.dataclass(frozen=True)
 class PlainBody:
-    """A node of a GLB. vertices: +Z up [m], shape (n, 3). faces: shape (m, 3). colors: RGBA, shape (n, 4) uint8, or None."""
+    """A node of a GLB. vertices: +Z up [m], shape (n, 3). faces: shape (m, 3). colors: sRGB and alpha, shape (n, 4) uint8, or None."""
 
     name: str
     vertices: NDArray[np.float64]
@@ -85,15 +88,19 @@ def write_plain(bodies: Sequence[PlainBody]) -> bytes | None:
     corners = _Rows(
         np.concatenate([np.asarray(body.faces).reshape(-1, 1) for body in bodies]).astype(np.uint32), [body.faces.size for body in bodies]
     )
-    meshes = []
+    meshes, materials = [], []
     for number, body in enumerate(bodies):
         indices = accessor(_FACES, *corners.of(number))
         attributes = {"POSITION": accessor(_POINTS, *places.of(number))}
         if body.colors is not None:
-            colors = np.ascontiguousarray(body.colors, dtype=np.uint8)
+            colors = np.ascontiguousarray(shorts_of_bytes(np.asarray(body.colors, dtype=np.uint8)))
             limits = colors.max(axis=0).tolist(), colors.min(axis=0).tolist()
             attributes["COLOR_0"] = accessor(_COLORS, colors.tobytes(), len(colors), *limits)
-        meshes.append({"name": body.name, "extras": {}, "primitives": [{"attributes": attributes, "indices": indices, "mode": _TRIANGLES}]})
+        look = BARE if body.colors is None else PAINT
+        if look not in materials:
+            materials.append(look)
+        primitive = {"attributes": attributes, "indices": indices, "mode": _TRIANGLES, "material": materials.index(look)}
+        meshes.append({"name": body.name, "extras": {}, "primitives": [primitive]})
     starts = np.cumsum([0, *(len(view) for view in views)]).tolist()
     tree = {
         "scene": 0,
@@ -104,6 +111,7 @@ def write_plain(bodies: Sequence[PlainBody]) -> bytes | None:
         "nodes": [{"name": body.name, "mesh": index} for index, body in enumerate(bodies)],
         "buffers": [{"byteLength": starts[-1]}],
         "bufferViews": [{"buffer": 0, "byteOffset": a, "byteLength": len(view)} for a, view in zip(starts[:-1], views, strict=True)],
+        "materials": materials,
     }
     text = json.dumps(tree, separators=(",", ":")).encode()
     text += b" " * (4 - (len(text) + 20) % 4)
@@ -154,13 +162,16 @@ def _bodies(data: bytes, document: Mapping[str, Any]) -> list[PlainBody] | None:
         (primitive,), name = mesh["primitives"], node["name"]
         attributes = primitive["attributes"]
         is_plain = node == {"name": name, "mesh": index} and mesh == {"name": name, "extras": {}, "primitives": [primitive]}
-        if not is_plain or not isinstance(name, str) or set(primitive) != {"attributes", "indices", "mode"}:
+        if not is_plain or not isinstance(name, str) or set(primitive) != {"attributes", "indices", "mode", "material"}:
             return None
         if primitive["mode"] != _TRIANGLES or not {"POSITION"} <= set(attributes) <= {"POSITION", "COLOR_0"}:
             return None
         faces = _array(document, binary, primitive["indices"], _FACES, "<u4", 1).reshape(-1, 3).astype(np.int64)
         x, y, z = _array(document, binary, attributes["POSITION"], _POINTS, "<f4", 3).astype(np.float64).T
-        colors = _array(document, binary, attributes["COLOR_0"], _COLORS, "|u1", 4).copy() if "COLOR_0" in attributes else None
+        is_painted = "COLOR_0" in attributes
+        if document["materials"][primitive["material"]] != (PAINT if is_painted else BARE):
+            return None
+        colors = bytes_of_shorts(_array(document, binary, attributes["COLOR_0"], _COLORS, "<u2", 4)) if is_painted else None
         body = PlainBody(name, np.column_stack([x, -z, y]) + 0.0, faces, colors)
         if not body.is_whole or faces.max() >= len(x) or not np.isfinite(body.vertices).all():
             return None

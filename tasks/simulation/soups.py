@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.geometry.colors import tinted
 from tasks.geometry.meshes import material_of, vertex_colors
 from tasks.geometry.triangles import face_crosses
 
@@ -113,13 +114,13 @@ def _look(part: trimesh.Trimesh, faces: NDArray[np.int64]) -> tuple[NDArray[np.u
 
 
 def _shrunk(image: NDArray[np.uint8], factor: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """A texture times a factor of its colors, its longest side `TEXTURE_PX` at most."""
+    """A texture times a linear factor, its longest side `TEXTURE_PX` at most."""
     from PIL import Image
 
-    tinted = np.clip(np.rint(image * factor), 0, 255).astype(np.uint8)
-    tall, wide = tinted.shape[:2]
+    product = tinted(image, factor)
+    tall, wide = product.shape[:2]
     scale = TEXTURE_PX / max(tall, wide)
     if scale >= 1:
-        return np.ascontiguousarray(tinted)
+        return np.ascontiguousarray(product)
     size = max(1, round(wide * scale)), max(1, round(tall * scale))
-    return np.asarray(Image.fromarray(tinted).resize(size, Image.Resampling.BOX))
+    return np.asarray(Image.fromarray(product).resize(size, Image.Resampling.BOX))

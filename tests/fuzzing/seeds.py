@@ -31,6 +31,7 @@ from tests import capture_scans, scans
 from tests.conftest import REPOSITORY
 from tests.fuzzing.cases import Case, read_case
 from tests.replicas import Object, cube, rows_of, with_navigation
+from tests.tasks.geometry.colored import COLORED
 
 REALDATA = Path(os.environ.get("METASCENES_REALDATA") or REPOSITORY.parent / "shared" / "realdata")
 """Files of others, where there are any (see tests/conftest.py)."""
@@ -125,7 +126,7 @@ def exported(format_: str) -> list[Case]:
 
 @cache
 def glb() -> list[Case]:
-    """GLBs: of objects with colors and a texture, of a scene with nodes in nodes, of others."""
+    """GLBs: of objects with colors and a texture, of a scene with nodes in nodes, of colors stated in every way, of others."""
     boxes = dump_glb([trimesh.creation.box((0.3, 0.4, 0.5)), _painted()], ["chair|chair|1", "table_2"])
     tree = trimesh.Scene()
     tree.add_geometry(trimesh.creation.box((4.0, 0.1, 3.0)), node_name="floor", geom_name="a")
@@ -134,7 +135,9 @@ def glb() -> list[Case]:
     )
     tree.add_geometry(_painted(), node_name="cabinet", geom_name="c", parent_node_name="ball")
     scene = dict(_export("glb"))
-    found = [boxes, bytes(tree.export(file_type="glb")), next(iter(scene.values()))]
+    stated = ("all three", "vertices and factor", "light alone", "diffuse image and color")
+    colored = [made.glb() for made in COLORED if made.name in stated]
+    found = [boxes, bytes(tree.export(file_type="glb")), next(iter(scene.values())), *colored]
     return [{"scene.glb": data} for data in found] + real("**/*.glb", "scene.glb")
 
 

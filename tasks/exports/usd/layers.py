@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.exports.bodies import Body
-from tasks.exports.shading import linear_colors
 from tasks.exports.visuals import Texture
+from tasks.geometry.colors import linear_of_bytes
 from tasks.geometry.mass import principal_axes
 from tasks.geometry.pieces import Hull
 from tasks.geometry.triangles import face_normals
@@ -150,7 +150,7 @@ def add_display_color(mesh: Any, colors: NDArray[np.uint8]) -> None:
     """Vertex colors, shape (n, 3) sRGB, as the mesh's display color."""
     from pxr import UsdGeom, Vt
 
-    values, index = _indexed(linear_colors(colors))
+    values, index = _indexed(linear_of_bytes(colors))
     primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant if len(values) == 1 else UsdGeom.Tokens.vertex)
     primvar.Set(Vt.Vec3fArray.FromNumpy(values))
     if len(values) > 1:

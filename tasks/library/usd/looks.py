@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,24 @@ Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 COLORS = ("diffuseColor", "diffuse_color_constant", "base_color")
+EMISSION, BLACK = "emissiveColor", (0.0, 0.0, 0.0)
 TEXTURES = ("diffuse_texture", "base_color_texture")
 """Inputs of materials that hold a base color; UsdPreviewSurface's, and those of OmniPBR, which states pictures beside it."""
 
 
-def look_of(prim: Any) -> tuple[Color | None, Path | None]:
-    """Linear base color in 0..1 and picture of the material that is bound to a prim, None where it has none."""
+class BaseColor(NamedTuple):
+    """Appearance of a prim. color: linear, 0 to 1, the factor of an image if there is one. file: the image.
+
+    is_linear: the image's bytes are linear values, as `sourceColorSpace` = `raw` states.
+    """
+
+    color: Color | None = None
+    file: Path | None = None
+    is_linear: bool = False
+
+
+def look_of(prim: Any) -> BaseColor:
+    """The base color of the material that is bound to a prim; the light that it emits if it reflects none."""
     from pxr import UsdShade
 
     material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
@@ -28,34 +40,48 @@ def look_of(prim: Any) -> tuple[Color | None, Path | None]:
         shader = source[0]
         if not shader:
             continue
-        color, file = None, None
-        for name in COLORS:
-            shown, picture = _input(shader, name)
-            color, file = color or shown, file or picture
+        inputs = [_input(shader, name) for name in COLORS]
+        light = _input(shader, EMISSION)
+        if light != BaseColor() and light.color != BLACK and [given for given in inputs if given != BaseColor()] == [BaseColor(BLACK)]:
+            return light
+        color = next((given.color for given in inputs if given.color), None)
+        file = next((given.file for given in inputs if given.file), None)
+        is_linear = any(given.is_linear for given in inputs)
         for name in TEXTURES:
             file = file or _picture(shader.GetInput(name))
         if color or file:
-            return color, file
-    return None, None
+            return BaseColor(color, file, is_linear)
+    return BaseColor()
 
 
-def _input(shader: Any, name: str) -> tuple[Color | None, Path | None]:
-    """A color input: its value, or the picture that a texture reader behind it reads."""
+def _input(shader: Any, name: str) -> BaseColor:
+    """A color input: its value, or the image and scale of a texture reader behind it."""
     from pxr import UsdShade
 
     given = shader.GetInput(name)
     if not given:
-        return None, None
+        return BaseColor()
     for attribute in UsdShade.Utils.GetValueProducingAttributes(given):
         behind = UsdShade.Shader(attribute.GetPrim())
         if behind and behind.GetIdAttr().Get() == "UsdUVTexture":
-            return None, _picture(behind.GetInput("file"))
+            scale, space = behind.GetInput("scale"), behind.GetInput("sourceColorSpace")
+            is_scaled = bool(scale) and scale.GetTypeName().type.typeName == "GfVec4f"
+            factor = numbers(first(scale.GetAttr()) if is_scaled else None, np.float64, 4)
+            is_factor = len(factor) == 1 and np.isfinite(factor).all() and (factor[0, :3] != 1.0).any()
+            color = _color(factor[0, :3]) if is_factor else None
+            is_linear = bool(space) and str(first(space.GetAttr())) == "raw"
+            return BaseColor(color, _picture(behind.GetInput("file")), is_linear)
         is_color = attribute.GetTypeName().scalarType.type.typeName == "GfVec3f"
         value = numbers(first(attribute) if is_color else None, np.float64, 3)
         if len(value) == 1 and np.isfinite(value).all():
-            r, g, b = (float(v) for v in value[0])
-            return (r, g, b), None
-    return None, None
+            return BaseColor(_color(value[0]))
+    return BaseColor()
+
+
+def _color(values: Array) -> Color:
+    """Three numbers as a tuple, 0 to 1."""
+    r, g, b = (min(max(float(value), 0.0), 1.0) for value in values)
+    return r, g, b
 
 
 def _picture(given: Any) -> Path | None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import is_there, read_file, stays_in
+from tasks.geometry.colors import bytes_of_linear, display_of
 from tasks.library.format import MOST_FACES
 from tasks.library.usd.looks import display_colors, look_of, uv_of
 from tasks.library.usd.shapes import polygons_of, subsets
@@ -51,7 +52,7 @@ class Flattened:
         self._root, self._name = root, path.name
         self._places = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         self._plain: list[tuple[Array, Integers, NDArray[np.uint8]]] = []
-        self._textured: dict[tuple[Path, tuple[float, ...]], list[tuple[Array, Integers, Array]]] = {}
+        self._textured: dict[tuple[Path, tuple[float, ...], bool], list[tuple[Array, Integers, Array]]] = {}
         self._faces = self._prims = 0
         # Count first: geometry takes longer than a refusal.
         prims = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
@@ -77,7 +78,7 @@ class Flattened:
             mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=colors)
             parts.append(mesh)
         pixels = 0
-        for (file, factor), groups in sorted(self._textured.items()):
+        for (file, factor, is_linear), groups in sorted(self._textured.items()):
             data = read_file(file, file.name, BUDGET.image_bytes)
             size = image_pixels(data)
             pixels += size or 0
@@ -85,8 +86,10 @@ class Flattened:
                 problem = "cannot be decoded" if size is None else f"are {pixels} pixels, more than {BUDGET.pixels} or {BUDGET.all_pixels}"
                 raise InputError(self._name, "textures", f"{file.name} {problem}", "shrink them")
             image = Image.open(io.BytesIO(data)).convert("RGB")
+            if is_linear:
+                image = Image.fromarray(bytes_of_linear(np.asarray(image) / 255.0))
             vertices, faces, uv = _joined(groups)
-            material = trimesh.visual.material.PBRMaterial(baseColorTexture=image, baseColorFactor=[*factor, 1.0])
+            material = trimesh.visual.material.PBRMaterial(baseColorTexture=image, baseColorFactor=[*display_of(factor), 1.0])
             parts.append(trimesh.Trimesh(vertices, faces, process=False, visual=trimesh.visual.TextureVisuals(uv=uv, material=material)))
         return parts
 
@@ -165,27 +168,20 @@ class Flattened:
         if shape is None or not len(shape.triangles):
             return
         for bound, chosen in subsets(prim, shape):
-            color, file = look_of(bound)
+            color, file, is_linear = look_of(bound)
             vertices, faces = shape.points[shape.point_of], shape.triangles[chosen]
             uv = uv_of(prim, shape) if file is not None else None
             if file is not None and uv is not None and self._is_usable(file):
-                yield vertices, faces, uv, (file, color or (1.0, 1.0, 1.0))
+                yield vertices, faces, uv, (file, color or (1.0, 1.0, 1.0), is_linear)
                 continue
             linear = display_colors(prim, shape) if color is None else None
-            yield vertices, faces, srgb(np.tile(color or GRAY, (len(vertices), 1)) if linear is None else linear), None
+            yield vertices, faces, bytes_of_linear(np.tile(color or GRAY, (len(vertices), 1)) if linear is None else linear), None
 
     def _is_usable(self, file: Path) -> bool:
         if is_there(file) and stays_in(file, self._root):
             return True
         self.notes.append(f"{file.name} is missing, drawn without it")
         return False
-
-
-def srgb(linear: Array) -> NDArray[np.uint8]:
-    """Linear colors in 0..1, shape (n, 3), as bytes of sRGB (IEC 61966-2-1)."""
-    value = np.clip(np.nan_to_num(linear), 0.0, 1.0)
-    curved = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    return np.round(255.0 * curved).astype(np.uint8)
 
 
 def _joined(groups: list[tuple[Array, Integers, Any]]) -> tuple[Array, Integers, Any]:

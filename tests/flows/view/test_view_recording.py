@@ -19,7 +19,7 @@ from flows.view.recording import MOMENTS, TIMELINE, write_recording
 from flows.view.scene import Scenes
 from schemas.errors import InputError
 from schemas.optimization import Placement
-from tasks.geometry.meshes import load_glb, surface_of, surface_of_glb
+from tasks.geometry.meshes import Surface, load_glb, surface_of, surface_of_glb
 from tasks.geometry.transforms import matrix
 from tests.flows.view.lakes import OBJECTS, SCENES, UNSTABLE, shown_lake
 from warehouse.lake import Lake
@@ -73,6 +73,13 @@ class Recorded:
     def glb(self, path: str) -> bytes:
         return bytes(self.values[path, "Asset3D:blob"][None][0])
 
+    def mesh(self, path: str) -> Surface:
+        """A mesh with colors of vertices, in the frame of its entity."""
+        values = {name: self.values[path, f"Mesh3D:{name}"][None] for name in ("vertex_positions", "triangle_indices", "vertex_colors")}
+        packed = np.array(values["vertex_colors"], dtype=np.uint32)
+        colors = np.stack([packed >> 24, packed >> 16 & 255, packed >> 8 & 255], axis=1).astype(np.uint8)
+        return Surface(np.array(values["vertex_positions"], dtype=float), np.array(values["triangle_indices"], dtype=np.int64), colors)
+
 
 @pytest.fixture(scope="module")
 def recorded(scenes: Scenes, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
@@ -114,14 +121,15 @@ def test_objects_stand_where_the_lake_has_them_at_every_moment(lake: Lake, scene
 
 
 @NEEDS_RERUN
-def test_assets_keep_their_bytes_and_come_to_lie_where_they_are_placed(scenes: Scenes, recorded: Recorded) -> None:
+def test_assets_keep_their_colors_and_come_to_lie_where_they_are_placed(scenes: Scenes, recorded: Recorded) -> None:
     for row in scenes.shown(SCENES[0]).document["objects"]:
         placed, path = row["placed"], f"/replica/{row['id']}"
-        data = recorded.glb(f"{path}/asset")
-        assert data == scenes.blob(placed["blob"])
+        whole, found = surface_of_glb(scenes.blob(placed["blob"])), recorded.mesh(f"{path}/asset")
+        assert np.array_equal(found.colors, whole.colors)
+        assert np.array_equal(found.faces, whole.faces)
         world = recorded.transform(path, 1) @ recorded.transform(f"{path}/asset")
-        seen = raw(data) @ world[:3, :3].T + world[:3, 3]
-        expected = surface_of_glb(data).transformed(matrix(placed["poses"]["optimized"]), placed["scale"]).vertices
+        seen = found.vertices @ world[:3, :3].T + world[:3, 3]
+        expected = whole.transformed(matrix(placed["poses"]["optimized"]), placed["scale"]).vertices
         assert np.allclose(np.sort(seen, axis=0), np.sort(expected, axis=0), atol=1e-5)
         assert np.allclose([seen.min(axis=0), seen.max(axis=0)], [expected.min(axis=0), expected.max(axis=0)], atol=1e-5)
 
@@ -148,7 +156,10 @@ def test_scan_room_and_navmesh_are_in_the_world_frame(scenes: Scenes, recorded: 
     assert np.allclose(recorded.values["/scan/points", "Points3D:positions"][None], scan.vertices, atol=1e-5)
     packed = np.array(recorded.values["/scan/points", "Points3D:colors"][None], dtype=np.uint32)
     assert np.array_equal(packed >> 24, scan.colors[:, 0])
-    assert recorded.glb("/room") == scenes.blob(document["shell"])
+    shell = surface_of_glb(scenes.blob(document["shell"]))
+    assert np.array_equal(recorded.mesh("/room").colors, shell.colors)
+    found, expected = (np.sort(v, axis=0) for v in (recorded.mesh("/room").vertices, raw(scenes.blob(document["shell"]))))
+    assert np.allclose(found, expected, atol=1e-6)
     (navmesh,) = document["navmeshes"]
     vertices = np.array(recorded.values["/navmesh/stretch", "Mesh3D:vertex_positions"][None])
     triangles = np.array(recorded.values["/navmesh/stretch", "Mesh3D:triangle_indices"][None])

@@ -114,8 +114,8 @@ def test_geometry_and_images_are_kept_byte_for_byte(textured: tuple[Replica, byt
         assert set(kept) <= set(found)
         assert {kept[image["bufferView"]] for image in own["images"]} <= set(images)
     for material in document["materials"]:
-        index = material["pbrMetallicRoughness"]["baseColorTexture"]["index"] if "pbrMetallicRoughness" in material else None
-        assert index is None or document["textures"][index]["source"] < len(images)
+        texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
+        assert texture is None or document["textures"][texture["index"]]["source"] < len(images)
 
 
 def test_every_object_says_what_it_is(replica: Replica, data: bytes) -> None:

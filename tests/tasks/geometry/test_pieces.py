@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from schemas.errors import InputError
 from tasks.containers import close_glb, open_glb
 from tasks.exports.gltf import node_textures, scaled_glb
-from tasks.exports.shading import linear_colors
 from tasks.furniture import generate
+from tasks.geometry.colors import linear_of_bytes
 from tasks.geometry.hulls import REDUCED, hull_of, is_within
 from tasks.geometry.mass import mass_properties
 from tasks.geometry.meshes import canonical, dump_glb, load_glb, surface_of
@@ -146,7 +146,7 @@ def test_normals_are_smooth_on_a_ball_and_flat_on_a_box() -> None:
 
 
 def test_colors_become_linear() -> None:
-    found = linear_colors(np.array([[0, 128, 255]], dtype=np.uint8))[0]
+    found = linear_of_bytes(np.array([[0, 128, 255]], dtype=np.uint8))[0]
     np.testing.assert_allclose(found, [0.0, 0.21586, 1.0], atol=1e-4)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from tasks.furniture import generate
+from tasks.geometry.colors import linear_of_bytes
 from tasks.geometry.meshes import Surface, dump_glb, surface_of
 from tasks.geometry.transforms import Z_UP_TO_Y_UP
 
@@ -45,8 +46,6 @@ def write_usd(path: Path, parts: list[trimesh.Trimesh], unit_m: float | None = 1
     """A layer of one mesh with display colors; without units or axis where they are None."""
     from pxr import Sdf, Usd, UsdGeom, Vt
 
-    from tasks.exports.shading import linear_colors
-
     surface = in_file_axes(parts, unit_m or 1.0, up or "z")
     stage = Usd.Stage.CreateNew(str(path))
     if unit_m is not None:
@@ -59,7 +58,7 @@ def write_usd(path: Path, parts: list[trimesh.Trimesh], unit_m: float | None = 1
     mesh.CreateFaceVertexCountsAttr([3] * len(surface.faces))
     mesh.CreateFaceVertexIndicesAttr(surface.faces.ravel().tolist())
     colors = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex)
-    colors.Set(Vt.Vec3fArray.FromNumpy(linear_colors(surface.colors).astype(np.float32)))
+    colors.Set(Vt.Vec3fArray.FromNumpy(linear_of_bytes(surface.colors).astype(np.float32)))
     stage.GetRootLayer().Save()
 
 

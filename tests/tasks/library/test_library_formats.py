@@ -11,16 +11,19 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from schemas.errors import InputError
+from tasks.geometry.colors import bytes_of_linear, linear_of_bytes
 from tasks.geometry.meshes import surface_of, vertex_colors
 from tasks.library.formats import content_of, model_files, read_model
 from tasks.library.metadata import ModelFacts
 from tasks.library.obj import _weigh
 from tasks.library.units import canonical_parts, convention_of
 from tasks.library.usd.child import drawn_on, unpacked
-from tasks.library.usd.stage import Flattened, srgb
+from tasks.library.usd.stage import Flattened
 from tests import attacks
+from tests.tasks.geometry.colored import decoded, encoded
 from tests.tasks.library.models import as_glb, as_obj, as_usdz, chair, farthest, write_usd
 
 
@@ -142,10 +145,62 @@ def test_usd_instances_are_flattened_and_solids_are_meshes(tmp_path: Path) -> No
 
 @given(st.integers(0, 255))
 def test_colors_of_usd_are_linear(value: int) -> None:
-    from tasks.exports.shading import linear_colors
-
     gray = np.full((1, 3), value, dtype=np.uint8)
-    assert (srgb(linear_colors(gray)) == gray).all()
+    assert (bytes_of_linear(linear_of_bytes(gray)) == gray).all()
+
+
+LOOK = """
+def Mesh "m" ( prepend apiSchemas = ["MaterialBindingAPI"] )
+{
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    texCoord2f[] primvars:st = [(0.5, 0.5), (0.5, 0.5), (0.5, 0.5)] (interpolation = "vertex")
+    rel material:binding = </look>
+}
+def Material "look"
+{
+    token outputs:surface.connect = </look/surface.outputs:surface>
+    def Shader "surface"
+    {
+        uniform token info:id = "UsdPreviewSurface"
+        %s
+        token outputs:surface
+    }
+    def Shader "image"
+    {
+        uniform token info:id = "UsdUVTexture"
+        asset inputs:file = @./image.png@
+        %s
+        float3 outputs:rgb
+    }
+}
+"""
+IMAGE_COLOR = "color3f inputs:diffuseColor.connect = </look/image.outputs:rgb>"
+LOOKS = {
+    "image": (IMAGE_COLOR, "", (200, 180, 220)),
+    "sRGB image and scale": (
+        IMAGE_COLOR,
+        'token inputs:sourceColorSpace = "sRGB"\n float4 inputs:scale = (0.5, 0.25, 1, 1)',
+        encoded(decoded((200, 180, 220)) * [0.5, 0.25, 1.0]),
+    ),
+    "linear image": (IMAGE_COLOR, 'token inputs:sourceColorSpace = "raw"', encoded(np.array([200, 180, 220]) / 255)),
+    "color": ("color3f inputs:diffuseColor = (0.5, 0.25, 0.01)", "", encoded([0.5, 0.25, 0.01])),
+    "light alone": (
+        "color3f inputs:diffuseColor = (0, 0, 0)\n color3f inputs:emissiveColor = (0.5, 0.25, 0.01)", "", encoded([0.5, 0.25, 0.01]),
+    ),
+    "light of a colored thing": (
+        "color3f inputs:diffuseColor = (0.5, 0.25, 0)\n color3f inputs:emissiveColor = (0, 0, 1)", "", encoded([0.5, 0.25, 0]),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("inputs", "image", "expected"), LOOKS.values(), ids=LOOKS.keys())
+def test_materials_of_usd_show_their_colors(tmp_path: Path, inputs: str, image: str, expected: np.ndarray) -> None:
+    Image.new("RGB", (4, 4), (200, 180, 220)).save(tmp_path / "image.png")
+    path = write_layer(tmp_path / "look.usda", LOOK % (inputs, image))
+    (part,) = Flattened(path, tmp_path).parts()
+    np.testing.assert_allclose(vertex_colors(part), np.tile(expected, (3, 1)), atol=1)
 
 
 def write_layer(path: Path, text: str) -> Path:

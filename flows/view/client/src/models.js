@@ -1,17 +1,12 @@
 // GLB files as three.js objects in the world frame of the lake: metres, +Z up.
 
-import {
-  Box3, BufferAttribute, Color, FrontSide, Group, Matrix4, MeshBasicMaterial, MeshLambertMaterial, Quaternion, Vector3,
-} from "three";
+import { Box3, FrontSide, Group, Matrix4, MeshBasicMaterial, MeshLambertMaterial, Quaternion, Vector3 } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { source } from "./source.js";
 
 const loader = new GLTFLoader();
 const loaded = new Map();
 const shared = new WeakSet(); // geometries that every copy of a model draws
-
-/** Linear values, 16 bits, of sRGB bytes. */
-const LINEAR = Uint16Array.from({ length: 256 }, (_, value) => Math.round(new Color().setRGB(value / 255, 0, 0, "srgb").r * 65535));
 
 /** A GLB by the name of its blob, +Y up turned to +Z up. Loaded once; every call gives a copy with materials of its own. */
 export async function model(name) {
@@ -30,22 +25,8 @@ export async function model(name) {
 
 async function read(name) {
   const { scene } = await loader.parseAsync(await source.bytes(name), "");
-  for (const { geometry } of meshes(scene)) {
-    shared.add(geometry);
-    const colors = geometry.attributes.color;
-    if (colors?.array instanceof Uint8Array) geometry.setAttribute("color", linear(colors));
-  }
+  for (const { geometry } of meshes(scene)) shared.add(geometry);
   return scene;
-}
-
-/** Colors of vertices, which the lake keeps as sRGB bytes, as glTF and three.js mean them. */
-function linear(colors) {
-  const { array, itemSize, count } = colors;
-  const made = new Uint16Array(count * 3);
-  for (let vertex = 0; vertex < count; vertex += 1) {
-    for (let channel = 0; channel < 3; channel += 1) made[vertex * 3 + channel] = LINEAR[array[vertex * itemSize + channel]];
-  }
-  return new BufferAttribute(made, 3, true);
 }
 
 /** The colors and images of a material without gloss: what has no material in its file would be a dark metal. */
@@ -106,7 +87,7 @@ export const boxOf = (object) => new Box3().setFromObject(object);
 /** The same colors without light: those of a scan have been lit already. Seen from the front only, so that one looks into rooms. */
 export function unlit(material) {
   const plain = new MeshBasicMaterial({ vertexColors: material.vertexColors, map: material.map ?? null, side: FrontSide });
-  plain.color = material.vertexColors ? new Color(1, 1, 1) : material.color.clone();
+  plain.color.copy(material.color);
   return plain;
 }
 
