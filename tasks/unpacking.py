@@ -12,6 +12,10 @@ from xml.etree import ElementTree
 from schemas.budget import BUDGET
 
 
+KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
+"""The first bytes of a KTX 2 image."""
+
+
 class TooMuch(ValueError):
     """What is in a file would take more memory than the budget has."""
 
@@ -108,6 +112,9 @@ def image_pixels(data: bytes) -> int | None:
     """Pixels that an image's head declares, None where it has none that can be read."""
     from PIL import Image
 
+    if data[:12] == KTX2:
+        width, height = (int.from_bytes(data[start : start + 4], "little") for start in (20, 24))
+        return width * max(height, 1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here
