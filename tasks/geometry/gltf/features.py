@@ -143,7 +143,33 @@ def check_features(document: Document, file: str) -> tuple[str, ...]:
             raise InputError(file, field, problem, "export it as a glTF 2.0 binary without it")
         if one.feature.treatment == "noted":
             notes.append(f"{file}: {one.text}")
-    return tuple(notes)
+    return (*notes, *(f"{file}: {text}: drawn without it" for text in dict.fromkeys(_misshapen(document))))
+
+
+def _misshapen(document: Document) -> Iterator[str]:
+    """Values of materials and extensions that are of the wrong kind, which readers take as absent."""
+    textures = len(entries(document, "textures"))
+    for index, material in enumerate(entries(document, "materials")):
+        plain = material.get("pbrMetallicRoughness", {})
+        if not isinstance(plain, dict):
+            yield f"material {index}: pbrMetallicRoughness is not an object"
+        for holder in (one for one in (material, plain) if isinstance(one, dict)):
+            for key, value in holder.items():
+                number = value.get("index") if isinstance(value, dict) else value
+                if key.endswith("Texture") and not (type(number) is int and 0 <= number < textures):
+                    yield f"material {index}: {key} names texture {number!r:.20} of {textures}"
+    level: list[Any] = [dict(document)]
+    while level:
+        level, values = [], level
+        for value in values:
+            if isinstance(value, dict):
+                extensions = value.get("extensions")
+                for name, one in extensions.items() if isinstance(extensions, dict) else ():
+                    if not isinstance(one, dict):
+                        yield f"{name:.60} is not an object"
+                level += [inner for key, inner in value.items() if key != "extras"]
+            elif isinstance(value, list):
+                level += value
 
 
 def _core_counts(document: Document) -> dict[str, int]:
