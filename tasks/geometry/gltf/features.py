@@ -133,7 +133,7 @@ def check_features(document: Document, file: str) -> tuple[str, ...]:
     """Notes on the features of a file that are not read, a line each.
 
     Raises:
-        InputError: the file uses a feature without which its geometry would be wrong; names it.
+        InputError: the file uses a feature without which its geometry would be wrong, or a value is of the wrong kind; names it.
     """
     notes = []
     for one in find_features(document):
@@ -143,21 +143,23 @@ def check_features(document: Document, file: str) -> tuple[str, ...]:
             raise InputError(file, field, problem, "export it as a glTF 2.0 binary without it")
         if one.feature.treatment == "noted":
             notes.append(f"{file}: {one.text}")
-    return (*notes, *(f"{file}: {text}: drawn without it" for text in dict.fromkeys(_misshapen(document))))
+    for field, problem in _misshapen(document):
+        raise InputError(file, field, problem, "export it again")
+    return tuple(notes)
 
 
-def _misshapen(document: Document) -> Iterator[str]:
-    """Values of materials and extensions that are of the wrong kind, which readers take as absent."""
+def _misshapen(document: Document) -> Iterator[tuple[str, str]]:
+    """Values of materials and extensions that are of the wrong kind: field and problem."""
     textures = len(entries(document, "textures"))
     for index, material in enumerate(entries(document, "materials")):
         plain = material.get("pbrMetallicRoughness", {})
         if not isinstance(plain, dict):
-            yield f"material {index}: pbrMetallicRoughness is not an object"
+            yield f"material {index}", "pbrMetallicRoughness is not an object"
         for holder in (one for one in (material, plain) if isinstance(one, dict)):
             for key, value in holder.items():
                 number = value.get("index") if isinstance(value, dict) else value
                 if key.endswith("Texture") and not (type(number) is int and 0 <= number < textures):
-                    yield f"material {index}: {key} names texture {number!r:.20} of {textures}"
+                    yield f"material {index}", f"{key} names texture {number!r:.20} of {textures}"
     level: list[Any] = [dict(document)]
     while level:
         level, values = [], level
@@ -166,7 +168,7 @@ def _misshapen(document: Document) -> Iterator[str]:
                 extensions = value.get("extensions")
                 for name, one in extensions.items() if isinstance(extensions, dict) else ():
                     if not isinstance(one, dict):
-                        yield f"{name:.60} is not an object"
+                        yield "extensions", f"{name:.60} is not an object"
                 level += [inner for key, inner in value.items() if key != "extras"]
             elif isinstance(value, list):
                 level += value

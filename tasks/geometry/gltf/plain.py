@@ -79,6 +79,11 @@ def plain_glb(data: bytes, document: Document, file: str) -> PlainGlb:
         raise InputError(file, "content", problem, "export it again as glTF binary") from error
 
 
+def is_encoded(document: Document) -> bool:
+    """True if a file uses an extension that is decoded or applied."""
+    return any(one.feature.name in _REWRITTEN for one in find_features(document))
+
+
 def _special_features(document: Document, binary: bytes) -> Iterator[str]:
     """Features that the general loader reads otherwise than stated, or not at all."""
     yield from (one.feature.name for one in find_features(document) if one.feature.name in _REWRITTEN)
@@ -108,6 +113,7 @@ def _special_features(document: Document, binary: bytes) -> Iterator[str]:
                 yield "textures"
     if any(key in one for one in entries(document, "samplers") for key in ("wrapS", "wrapT") if one.get(key, REPEAT) != REPEAT):
         yield "samplers"
+    yield from ("textures" for texture in entries(document, "textures") if "source" not in texture)
     yield from ("images" for image in entries(document, "images") if not _is_plain_image(document, image, binary))
 
 
