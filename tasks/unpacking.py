@@ -11,7 +11,6 @@ from xml.etree import ElementTree
 
 from schemas.budget import BUDGET
 
-
 KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 """The first bytes of a KTX 2 image."""
 

@@ -171,7 +171,8 @@ def quantized(dtype: str = "i2", is_normalized: bool = True) -> Gltf:
     low, wide = (vertices.min(axis=0), 1.2) if dtype.startswith("u") else (np.zeros(3), 1.2)
     whole = np.round((vertices - low) / wide * most)
     primitive = {
-        "attributes": {"POSITION": made.accessor(whole, dtype, normalized=is_normalized)}, "indices": made.accessor(faces.reshape(-1, 1), "u2")
+        "attributes": {"POSITION": made.accessor(whole, dtype, normalized=is_normalized)},
+        "indices": made.accessor(faces.reshape(-1, 1), "u2"),
     }  # fmt: skip
     scale = wide if is_normalized else wide / most
     made.node("table_1", mesh=made.parts([primitive]), scale=[scale] * 3, translation=low.tolist())
@@ -225,14 +226,24 @@ def meshopt(name: str = "EXT_meshopt_compression", filter_: str = "NONE") -> Glt
         view = made.view(packed)
         count = len(vertices) if mode == "ATTRIBUTES" else faces.size
         stored = made.document["bufferViews"][view]
-        extension = {"buffer": 0, "byteOffset": stored["byteOffset"], "byteLength": len(packed), "byteStride": stride, "count": count, "mode": mode}
+        extension = {
+            "buffer": 0,
+            "byteOffset": stored["byteOffset"],
+            "byteLength": len(packed),
+            "byteStride": stride,
+            "count": count,
+            "mode": mode,
+        }
         extension |= {"filter": filter_} if mode == "ATTRIBUTES" and filter_ != "NONE" else {}
         stride_stated = {"byteStride": stride} if mode == "ATTRIBUTES" else {}
         made.document["bufferViews"][view] = {
             "buffer": 1, "byteOffset": start, "byteLength": stride * count, "extensions": {name: extension}, **stride_stated
         }  # fmt: skip
         start += stride * count
-    primitive = {"attributes": {"POSITION": made.stated(vertices.astype("<f4"), 0)}, "indices": made.stated(faces.reshape(-1, 1).astype("<u4"), 1)}
+    primitive = {
+        "attributes": {"POSITION": made.stated(vertices.astype("<f4"), 0)},
+        "indices": made.stated(faces.reshape(-1, 1).astype("<u4"), 1),
+    }
     made.node("table_1", mesh=made.parts([primitive]))
     return made.use(name)
 
@@ -331,7 +342,9 @@ def picture(kind: str = "PNG") -> bytes:
     pixels = np.zeros((8, 16, 3), np.uint8)
     pixels[:, :8], pixels[:, 8:] = GRAY, RED
     packed = io.BytesIO()
-    Image.fromarray(pixels).save(packed, kind, **({} if kind == "PNG" else {"quality": 100, **({"lossless": True} if kind == "WEBP" else {})}))
+    Image.fromarray(pixels).save(
+        packed, kind, **({} if kind == "PNG" else {"quality": 100, **({"lossless": True} if kind == "WEBP" else {})})
+    )
     return packed.getvalue()
 
 

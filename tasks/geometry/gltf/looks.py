@@ -157,7 +157,9 @@ class Looks:
         if not moved:
             return uv
         angle = float(moved.get("rotation", 0.0))
-        offset, scale = (np.array(moved.get(key, start), dtype=np.float64).reshape(2) for key, start in (("offset", [0, 0]), ("scale", [1, 1])))
+        offset, scale = (
+            np.array(moved.get(key, start), dtype=np.float64).reshape(2) for key, start in (("offset", [0, 0]), ("scale", [1, 1]))
+        )
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         result: Floats = (uv * scale) @ turn.T + offset
         return result

@@ -263,4 +263,3 @@ def _written(positions: Floats, faces: Array, normals: Floats | None, look: Look
         attributes["COLOR_0"] = writer.accessor(look.colors.astype("<f4"))
     primitive: dict[str, Any] = {"attributes": attributes, "indices": writer.accessor(faces.reshape(-1, 1).astype("<u4"), is_index=True)}
     return primitive | ({} if look.material is None else {"material": look.material})
-

@@ -101,9 +101,7 @@ def elsewhere() -> Gltf:
     return made
 
 
-@pytest.mark.parametrize(
-    ("make", "name"), [(without_scene, "no scene"), (of_version_1, "glTF 1.0"), (elsewhere, "data in other files")]
-)
+@pytest.mark.parametrize(("make", "name"), [(without_scene, "no scene"), (of_version_1, "glTF 1.0"), (elsewhere, "data in other files")])
 def test_features_without_which_geometry_is_wrong_are_refused(make: Any, name: str) -> None:
     with pytest.raises(InputError, match=rf"^room\.glb: feature: uses {name}: {CORE[name].effect}; "):
         load_glb(make().data(), "room.glb")
