@@ -151,7 +151,9 @@ def gltf() -> list[Case]:
         gltf_files.painted(
             gltf_files.colored_by(), {"TEXCOORD_0": [0.5, 0.5]}, gltf_files.picture("WEBP"), extensions={"EXT_texture_webp": {"source": 0}}
         ),
-        gltf_files.painted({"extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseTexture": {"index": 0}}}}, {"TEXCOORD_0": [0, 0]}),
+        gltf_files.painted(
+            {"extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseTexture": {"index": 0}}}}, {"TEXCOORD_0": [0, 0]}
+        ),
     ]
     cubes[0].document["samplers"] = [sampler]
     return [{"scene.glb": one.data()} for one in (*made, gltf_files.instanced(), *cubes)]
