@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
+from schemas.errors import InputError
 from tasks.geometry.gltf.arrays import Arrays, natural
 from tasks.geometry.gltf.decoding import Job, decode
 from tasks.geometry.gltf.features import BASIS, IMAGE_EXTENSIONS, Document, entries, extension_of, is_elsewhere
@@ -132,11 +133,19 @@ class Images:
             return image.size
 
     def padded(self, index: int, padding: Padding) -> bytes:
-        """An image extended on its sides, as a PNG."""
+        """An image extended on its sides, as a PNG.
+
+        Raises:
+            InputError: it cannot be decoded.
+        """
         from PIL import Image
 
         if (index, padding) not in self._padded:
-            pixels = np.asarray(Image.open(io.BytesIO(self.file(index) or b"")).convert("RGBA"))
+            try:
+                pixels = np.asarray(Image.open(io.BytesIO(self.file(index) or b"")).convert("RGBA"))
+            except Exception as error:  # the decoder raises whatever the bytes lead it to
+                problem = f"{index} cannot be decoded ({type(error).__name__}: {error})"[:200]
+                raise InputError(self._file, "images", problem, "export it again") from error
             for axis, side in ((1, 0), (0, 1)):
                 widths = [(0, 0)] * 3
                 widths[axis] = (padding.before[side], padding.after[side])

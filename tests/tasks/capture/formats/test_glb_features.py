@@ -9,6 +9,8 @@ import pytest
 
 from schemas.errors import InputError
 from tasks.capture.formats import find_scans, format_of
+from tasks.capture.glb import undivided
+from tasks.capture.labels import label_map
 from tasks.capture.reading import Reading
 from tasks.containers import open_glb
 from tasks.library.formats import read_model
@@ -37,7 +39,8 @@ def reading_of(folder: Path, made: Gltf, format_: str = "auto") -> Reading:
 
 def test_instances_of_a_room_are_instances_of_the_scene(tmp_path: Path) -> None:
     reading = reading_of(tmp_path / "room", room_of(gltf_files.instanced()))
-    assert reading.surface is not None and reading.groups is not None
+    assert reading.surface is not None
+    assert reading.groups is not None
     labels = sorted(group.raw_label for group in reading.groups)
     assert labels == ["chair"] * 4 + ["floor", "table", "wall", "wall"]
     centers = sorted(
@@ -54,11 +57,38 @@ def test_instances_of_a_room_are_instances_of_the_scene(tmp_path: Path) -> None:
 def test_a_compressed_room_is_the_plain_room(tmp_path: Path, name: str) -> None:
     """Figures within the steps of quantization, names and labels as they are."""
     found = reading_of(tmp_path / "room", room_of(gltf_files.TABLES[name]()))
-    assert found.surface is not None and found.groups is not None
+    assert found.surface is not None
+    assert found.groups is not None
     assert sorted(group.raw_label for group in found.groups) == ["floor", "table", "wall", "wall"]
     (table,) = (group for group in found.groups if group.raw_label == "table")
     low, high = (find(found.surface.vertices[table.vertices], axis=0) for find in (np.min, np.max))
     assert np.allclose([low, high], [[-0.6, -0.35, 0], [0.6, 0.35, 0.75]], atol=1e-4)
+
+
+def undivided_of(reading: Reading) -> str:
+    assert reading.groups is not None
+    assert reading.surface is not None
+    return undivided(reading.groups, [label_map()[group.raw_label] for group in reading.groups], reading.surface)
+
+
+def test_a_floor_that_was_joined_with_walls_and_furniture_is_found(tmp_path: Path) -> None:
+    """`gltf-transform optimize` joins meshes of one material, under the name of the first."""
+    parts = [*(box(*placed) for placed in WALLS.values()), gltf_files.table()]  # type: ignore[arg-type]
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    faces = np.concatenate([part[1] + start for part, start in zip(parts, starts[:-1], strict=True)])
+    made = Gltf()
+    made.node("floor", mesh=made.mesh(np.concatenate([part[0] for part in parts]), faces))
+    made.node("chair_1", mesh=made.mesh(*box((0.4, 0.9, 0.6), (2, 0.45, 0))))
+    assert undivided_of(reading_of(tmp_path / "joined", made)).startswith("node 'floor' holds walls or furniture as well")
+
+
+def test_a_floor_with_steps_and_skirting_boards_is_a_floor(tmp_path: Path) -> None:
+    made = room_of(gltf_files.plain())
+    made.node("wall_3", mesh=made.mesh(*box((5.0, 2.6, 0.1), (0, 1.3, 2))))
+    parts = [box((5.0, 0.2, 1.0), (0, 0.1, -1.5)), box((5.0, 0.1, 0.02), (0, 0.05, -1.99)), box((5.0, 0.1, 4.0), (0, -0.05, 0))]
+    faces = np.concatenate([part[1] + 8 * number for number, part in enumerate(parts)])
+    made.node("floor_2", mesh=made.mesh(np.concatenate([part[0] for part in parts]), faces))
+    assert undivided_of(reading_of(tmp_path / "room", made)) == ""
 
 
 @pytest.mark.parametrize("format_", ["auto", "bare_mesh"])

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from schemas.errors import InputError
 from tasks.candidates.assets import make_asset
 from tasks.geometry.gltf.images import CLAMP, MIRROR, REPEAT, repeated_lookup
 from tasks.geometry.meshes import load_glb, material_of, read_features, surface_of
@@ -149,6 +150,14 @@ def test_looks_that_are_not_read_are_noted(made: Gltf, note: str) -> None:
     plain = read_features(made.data(), "cube.glb")
     assert any(note in one for one in plain.notes), plain.notes
     assert len(load_glb(plain.data)[0].faces) == 12
+
+
+def test_a_cut_image_that_would_be_extended_is_refused() -> None:
+    made = wrapped([1.25, 0.5], MIRROR)
+    image = made.document["bufferViews"][made.document["images"][0]["bufferView"]]
+    image["byteLength"] = 60
+    with pytest.raises(InputError, match=r"^cube\.glb: images: 0 cannot be decoded"):
+        load_glb(made.data(), "cube.glb")
 
 
 @pytest.mark.parametrize("image", [b"no image", picture("uastc")[:90]])
