@@ -13,6 +13,7 @@ from schemas.errors import InputError
 from tasks.capture.bare_mesh.upright import Y_UP, bare_reading
 from tasks.capture.files.documents import license_of, name_of, read_bytes
 from tasks.capture.files.ply import check_vertices
+from tasks.capture.joined import split_joined
 from tasks.capture.labels import Label
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Group, Reading
@@ -20,16 +21,12 @@ from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, sing
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import Surface, load_glb, parse_node_name, read_features, surface_of
 from tasks.geometry.transforms import Y_UP_TO_Z_UP
-from tasks.geometry.triangles import face_areas, face_crosses
+from tasks.geometry.triangles import face_areas
 
 SUFFIXES = (".glb",)
 
 MOST_SURFACE = 0.5
 """Share of a scene's surface that is more than a single object of a room has, and more than nodes without labels may have."""
-
-MAX_FLOOR_RELIEF_M, MAX_UPRIGHT_COSINE, MAX_UPRIGHT_SHARE = 0.3, 0.3, 0.2
-"""Limits of a floor or ceiling: its own relief [m] (steps, beams), and the share of its area that stands upright beyond it. Skirting
-boards and steps stay below the share; walls that `gltf-transform optimize` joined to a floor are most of the area."""
 
 _NO_LABELS = frozenset({
     "body", "circle", "combined", "component", "cone", "cube", "curve", "cylinder", "default", "element", "empty", "entity",
@@ -79,6 +76,7 @@ def read_glb_scene(scan: Scan) -> Reading:
         )
         for (model, label), own in sorted(members.items())
     )
+    groups, joined_notes = split_joined(groups, surface, name)
     return Reading(
         surface=surface,
         parts=tuple(parts),
@@ -88,7 +86,7 @@ def read_glb_scene(scan: Scan) -> Reading:
         room_type="",
         license=license_of(license_path(folder, scan.premises)),
         is_dense=False,
-        degradations=("no frames in the scene: no views, no masks", *plain.notes),
+        degradations=("no frames in the scene: no views, no masks", *plain.notes, *joined_notes),
         glb=plain.data,
         from_file=Y_UP_TO_Z_UP,
     )
@@ -106,9 +104,6 @@ def undivided(groups: Sequence[Group], meanings: Sequence[Label], surface: Surfa
     A node that is no wall, floor or ceiling must not hold more than MOST_SURFACE of all surface, nor must all nodes together
     whose names are no labels. groups, meanings: Nodes and what their labels mean.
     """
-    joined = next((group for group, meaning in zip(groups, meanings, strict=True) if _reaches_up(group, meaning, surface)), None)
-    if joined is not None:
-        return f"node {joined.source_id!r:.60} holds walls or furniture as well: its program joined meshes of one material"
     areas = face_areas(surface.vertices, surface.faces)
     shares = {index: float(areas[group.faces].sum() / max(areas.sum(), 1e-12)) for index, group in enumerate(groups)}
     loose = {index: share for index, share in shares.items() if not (meanings[index].is_structure and is_label(groups[index].raw_label))}
@@ -120,18 +115,6 @@ def undivided(groups: Sequence[Group], meanings: Sequence[Label], surface: Surfa
         first = groups[max(nameless, key=lambda index: nameless[index])].source_id
         return f"{len(nameless)} nodes with {sum(nameless.values()):.0%} of the surface have names that are no labels, as {first!r:.60}"
     return ""
-
-
-def _reaches_up(group: Group, meaning: Label, surface: Surface) -> bool:
-    """True for a floor or a ceiling whose node also holds upright surfaces far above its own lowest point, or below its highest."""
-    if meaning.category not in ("floor", "ceiling"):
-        return False
-    corners = surface.vertices[surface.faces[group.faces]]
-    middles, crosses = corners[:, :, 2].mean(axis=1), face_crosses(surface.vertices, surface.faces[group.faces])
-    areas = np.linalg.norm(crosses, axis=1)
-    heights = middles - corners[:, :, 2].min() if meaning.category == "floor" else corners[:, :, 2].max() - middles
-    is_upright = np.abs(crosses[:, 2]) < MAX_UPRIGHT_COSINE * areas
-    return float(areas[is_upright & (heights > MAX_FLOOR_RELIEF_M)].sum()) > MAX_UPRIGHT_SHARE * float(areas.sum())
 
 
 def plain_label(name: str) -> str:

@@ -92,7 +92,7 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     if bodies is not None:
         return [body.mesh() for body in bodies]
     plain = plain_glb(data, document, file)
-    data, document = plain.data, plain.document
+    data, document = plain.data, dict(plain.document)
     try:
         with warnings.catch_warnings(), np.errstate(invalid="ignore", over="ignore"):
             warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here

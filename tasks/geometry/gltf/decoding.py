@@ -113,7 +113,8 @@ def decoded_accessors(document: Document, arrays: Arrays, file: str) -> dict[int
     Raises:
         InputError: one cannot be decoded, or differs from its accessor in count or width.
     """
-    accessors, places, jobs = entries(document, "accessors"), [], {}
+    accessors, places = entries(document, "accessors"), []
+    jobs: dict[int, Job] = {}
     for mesh in entries(document, "meshes"):
         for primitive in entries(mesh, "primitives"):
             stated = extension_of(primitive, DRACO)

@@ -9,8 +9,6 @@ import pytest
 
 from schemas.errors import InputError
 from tasks.capture.formats import find_scans, format_of
-from tasks.capture.glb import undivided
-from tasks.capture.labels import label_map
 from tasks.capture.reading import Reading
 from tasks.containers import open_glb
 from tasks.library.formats import read_model
@@ -65,13 +63,7 @@ def test_a_compressed_room_is_the_plain_room(tmp_path: Path, name: str) -> None:
     assert np.allclose([low, high], [[-0.6, -0.35, 0], [0.6, 0.35, 0.75]], atol=1e-4)
 
 
-def undivided_of(reading: Reading) -> str:
-    assert reading.groups is not None
-    assert reading.surface is not None
-    return undivided(reading.groups, [label_map()[group.raw_label] for group in reading.groups], reading.surface)
-
-
-def test_a_floor_that_was_joined_with_walls_and_furniture_is_found(tmp_path: Path) -> None:
+def test_a_floor_that_was_joined_with_walls_and_furniture_comes_apart(tmp_path: Path) -> None:
     """`gltf-transform optimize` joins meshes of one material, under the name of the first."""
     parts = [*(box(*placed) for placed in WALLS.values()), gltf_files.table()]  # type: ignore[arg-type]
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
@@ -79,16 +71,27 @@ def test_a_floor_that_was_joined_with_walls_and_furniture_is_found(tmp_path: Pat
     made = Gltf()
     made.node("floor", mesh=made.mesh(np.concatenate([part[0] for part in parts]), faces))
     made.node("chair_1", mesh=made.mesh(*box((0.4, 0.9, 0.6), (2, 0.45, 0))))
-    assert undivided_of(reading_of(tmp_path / "joined", made)).startswith("node 'floor' holds walls or furniture as well")
+    reading = reading_of(tmp_path / "joined", made)
+    assert reading.groups is not None
+    assert reading.surface is not None
+    counts = {(group.source_id, group.raw_label): (len(group.faces), len(group.vertices)) for group in reading.groups}
+    assert counts == {
+        ("floor", "floor"): (12, 8), ("floor_joined_1", "wall"): (12, 8), ("floor_joined_2", "wall"): (12, 8),
+        ("floor_joined_3", "unnamed"): (60, 40), ("chair_1", "chair"): (12, 8),
+    }  # fmt: skip
+    assert sorted(np.concatenate([group.faces for group in reading.groups]).tolist()) == list(range(len(reading.surface.faces)))
+    (note,) = [note for note in reading.degradations if "joined" in note]
+    assert note.startswith("room.glb: node 'floor' also holds 2 walls and 1 other objects") or "joined/room.glb" in note
 
 
 def test_a_floor_with_steps_and_skirting_boards_is_a_floor(tmp_path: Path) -> None:
     made = room_of(gltf_files.plain())
-    made.node("wall_3", mesh=made.mesh(*box((5.0, 2.6, 0.1), (0, 1.3, 2))))
     parts = [box((5.0, 0.2, 1.0), (0, 0.1, -1.5)), box((5.0, 0.1, 0.02), (0, 0.05, -1.99)), box((5.0, 0.1, 4.0), (0, -0.05, 0))]
     faces = np.concatenate([part[1] + 8 * number for number, part in enumerate(parts)])
     made.node("floor_2", mesh=made.mesh(np.concatenate([part[0] for part in parts]), faces))
-    assert undivided_of(reading_of(tmp_path / "room", made)) == ""
+    reading = reading_of(tmp_path / "room", made)
+    assert sorted(group.raw_label for group in reading.groups or ()) == ["floor", "floor", "table", "wall", "wall"]
+    assert not any("joined" in note for note in reading.degradations)
 
 
 @pytest.mark.parametrize("format_", ["auto", "bare_mesh"])
