@@ -27,10 +27,11 @@ from tasks.geometry.rendering import Camera
 from tasks.geometry.transforms import translation, yaw_pose
 from tasks.models import model_id_of
 from tasks.weights import to_safetensors
-from tests import capture_scans, gltf_files, scans
+from tests import capture_scans, scans
 from tests.conftest import REPOSITORY
 from tests.fuzzing.cases import Case, read_case
 from tests.replicas import Object, cube, rows_of, with_navigation
+from tests.tasks.geometry.gltf import files as gltf_files
 
 REALDATA = Path(os.environ.get("METASCENES_REALDATA") or REPOSITORY.parent / "shared" / "realdata")
 """Files of others, where there are any (see tests/conftest.py)."""

@@ -12,8 +12,8 @@ from tasks.capture.formats import find_scans, format_of
 from tasks.capture.reading import Reading
 from tasks.containers import open_glb
 from tasks.library.formats import read_model
-from tests import gltf_files
-from tests.gltf_files import Gltf, box, colored_by, painted, picture
+from tests.tasks.geometry.gltf import files as gltf_files
+from tests.tasks.geometry.gltf.files import Gltf, box, colored_by, painted, picture
 
 WALLS = {
     "floor": ((5.0, 0.1, 4.0), (0, -0.05, 0)), "wall_1": ((0.1, 2.6, 4.0), (-2.55, 1.3, 0)), "wall_2": ((0.1, 2.6, 4.0), (2.55, 1.3, 0)),

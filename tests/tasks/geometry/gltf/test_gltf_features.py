@@ -11,9 +11,9 @@ from schemas.errors import InputError
 from tasks.exports.glb.rules import check_glb
 from tasks.geometry.gltf.features import CORE, EXTENSIONS, find_features
 from tasks.geometry.meshes import load_glb, read_features
-from tests import gltf_files
 from tests.conftest import REPOSITORY
-from tests.gltf_files import TABLES, Gltf, box
+from tests.tasks.geometry.gltf import files as gltf_files
+from tests.tasks.geometry.gltf.files import TABLES, Gltf, box
 
 
 def notes_of(made: Gltf) -> list[str]:

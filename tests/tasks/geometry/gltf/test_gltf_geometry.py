@@ -10,8 +10,8 @@ from schemas.errors import InputError
 from tasks.containers import open_glb, weigh_glb
 from tasks.geometry.gltf.plain import triangles_of
 from tasks.geometry.meshes import Surface, load_glb, read_features, surface_of
-from tests import gltf_files
-from tests.gltf_files import TABLES, TOLERANCES, Gltf, box, instanced, table
+from tests.tasks.geometry.gltf import files as gltf_files
+from tests.tasks.geometry.gltf.files import TABLES, TOLERANCES, Gltf, box, instanced, table
 
 
 def surface_in(made: Gltf) -> Surface:
