@@ -129,8 +129,8 @@ def _accessors(document: Document, binary: bytes) -> Problems:
 def _is_packed(document: Document) -> bool:
     """Whether meshes are compressed, so that their numbers take more than the bytes of the file."""
     views = [name for view in _listed(document, "bufferViews") for name in _extensions(view)]
-    primitives = [one for mesh in _listed(document, "meshes") for one in _listed(mesh, "primitives")]
-    names = [*views, *(name for one in primitives for name in _extensions(one))]
+    primitives = [primitive for mesh in _listed(document, "meshes") for primitive in _listed(mesh, "primitives")]
+    names = [*views, *(name for primitive in primitives for name in _extensions(primitive))]
     return any(name.endswith(("_meshopt_compression", "_draco_mesh_compression")) for name in names)
 
 

@@ -35,19 +35,19 @@ MAX_PIECES = 1000
 
 def split_joined(groups: tuple[Group, ...], surface: Surface, file: str) -> tuple[tuple[Group, ...], tuple[str, ...]]:
     """Groups with joined floors and ceilings in their pieces, and a note on each that was split."""
-    found: list[Group] = []
+    split_groups: list[Group] = []
     notes = []
     for group in groups:
         pieces = _pieces(group, surface) if group.raw_label.strip().lower() in FLAT else [group]
-        found += pieces
+        split_groups += pieces
         if len(pieces) > 1:
             walls = sum(piece.raw_label == "wall" for piece in pieces)
-            others = len(pieces) - 1 - walls
+            object_count = len(pieces) - 1 - walls
             notes.append(
-                f"{file}: node {group.source_id!r:.60} also holds {walls} walls and {others} other objects, which have lost their names: "
+                f"{file}: node {group.source_id!r:.60} also holds {walls} walls and {object_count} other objects, which have lost their names: "
                 "a program joined meshes of one material (gltf-transform optimize keeps them with --join false)"
             )
-    return tuple(found), tuple(notes)
+    return tuple(split_groups), tuple(notes)
 
 
 def _pieces(group: Group, surface: Surface) -> list[Group]:
@@ -74,15 +74,15 @@ def _pieces(group: Group, surface: Surface) -> list[Group]:
     labels[labels < 0] = 1 + is_wall.sum() + _touching(low[labels < 0], high[labels < 0])
     if not labels.any():
         return [group]
-    found = []
+    split_groups = []
     for number in range(int(labels.max()) + 1):
         faces = group.faces[labels[piece] == number]
         word = group.raw_label if number == 0 else "wall" if number <= is_wall.sum() else "unnamed"
         source = group.source_id if number == 0 else f"{group.source_id}_joined_{number}"
-        found.append(
+        split_groups.append(
             dataclasses.replace(group, source_id=source, raw_label=word, faces=faces, vertices=np.unique(surface.faces[faces]))
         )  # fmt: skip
-    return found
+    return split_groups
 
 
 def _connected(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:

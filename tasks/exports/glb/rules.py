@@ -76,23 +76,23 @@ def check_glb(path: Path) -> list[Finding]:
             plain = plain_glb(data, document, path.name)
         except InputError as error:
             return sorted({*findings, Finding("features", f"{path.name} {error.field}", error.problem)})
-        found_texts = {one.text for one in find_features(document)}
+        found_texts = {entry.text for entry in find_features(document)}
         notes = [note.removeprefix(f"{path.name}: ") for note in plain.notes]
         findings += [Finding("features", path.name, note, False) for note in notes if note not in found_texts]
         document, binary = open_glb(plain.data, path.name)
     for check in (_references, _buffers, _geometry, _images, tree, _poses, _labels):
-        found = list(check(path.name, document, binary))
-        findings += found
-        if found and check in (_references, _buffers):
+        broken = list(check(path.name, document, binary))
+        findings += broken
+        if broken and check in (_references, _buffers):
             break  # what follows goes along references, into buffers
     return sorted(set(findings))
 
 
 def _features(file: str, document: Document) -> Iterator[Finding]:
     """Features that readers refuse, and, as warnings, those that they do not read."""
-    for one in find_features(document):
-        if one.feature.treatment != "read":
-            yield Finding("features", f"{file} {one.feature.name}", one.text, one.feature.treatment == "refused")
+    for entry in find_features(document):
+        if entry.feature.treatment != "read":
+            yield Finding("features", f"{file} {entry.feature.name}", entry.text, entry.feature.treatment == "refused")
 
 
 def _is_index(value: Any) -> bool:

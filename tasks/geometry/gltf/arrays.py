@@ -92,7 +92,7 @@ class Arrays:
         return np.maximum(values / float(np.iinfo(values.dtype).max), -1.0)
 
 
-class Writer:
+class ArrayWriter:
     """Views and accessors of a new document, all in one buffer."""
 
     def __init__(self) -> None:

@@ -52,12 +52,12 @@ def _draco(source: bytes, job: dict[str, Any]) -> dict[str, Any]:
     faces = getattr(mesh, "faces", None)
     if faces is None:
         raise ValueError("holds points without triangles")
-    found = {"faces": np.asarray(faces, dtype="<u4").reshape(-1, 3)}
+    arrays = {"faces": np.asarray(faces, dtype="<u4").reshape(-1, 3)}
     for attribute in mesh.attributes:
         values = np.asarray(attribute["data"])
         values = values.reshape(len(values), -1)
-        found[str(attribute["unique_id"])] = values.astype("<f4") if values.dtype.kind == "f" else values
-    return found
+        arrays[str(attribute["unique_id"])] = values.astype("<f4") if values.dtype.kind == "f" else values
+    return arrays
 
 
 def _meshopt(source: bytes, job: dict[str, Any]) -> dict[str, Any]:

@@ -24,7 +24,7 @@ _MODES = ("ATTRIBUTES", "TRIANGLES", "INDICES")
 
 
 @dataclasses.dataclass(frozen=True)
-class Job:
+class DecodingJob:
     """Bytes to decode. kind: `draco`, `meshopt` or `basis`. options: parameters of the decoder."""
 
     kind: str
@@ -40,7 +40,7 @@ class Decoded:
     problem: str = ""
 
 
-def decode(jobs: list[Job], max_bytes: int, file: str) -> list[Decoded]:
+def decode(jobs: list[DecodingJob], max_bytes: int, file: str) -> list[Decoded]:
     """Decode all jobs in one child.
 
     Args:
@@ -85,9 +85,9 @@ def decoded_views(document: Document, buffers: list[bytes], file: str) -> dict[i
     Raises:
         InputError: one cannot be decoded.
     """
-    jobs: dict[int, tuple[str, Job]] = {}
+    jobs: dict[int, tuple[str, DecodingJob]] = {}
     for index, view in enumerate(entries(document, "bufferViews")):
-        name = next((one for one in MESHOPT if extension_of(view, one)), None)
+        name = next((entry for entry in MESHOPT if extension_of(view, entry)), None)
         if name is None:
             continue
         stated = extension_of(view, name)
@@ -97,7 +97,7 @@ def decoded_views(document: Document, buffers: list[bytes], file: str) -> dict[i
         mode, kind = stated["mode"], stated.get("filter", "NONE")
         if mode not in _MODES or kind not in _FILTERS or len(data) != length or stride * count > _most_decoded(document):
             raise InputError(file, f"bufferView {index}", f"states no readable {name}", "export it again")
-        jobs[index] = name, Job("meshopt", data, {"count": count, "stride": stride, "mode": mode, "filter": kind})
+        jobs[index] = name, DecodingJob("meshopt", data, {"count": count, "stride": stride, "mode": mode, "filter": kind})
     results = decode([job for _, job in jobs.values()], _most_decoded(document), file)
     views = {}
     for (index, (name, _)), result in zip(jobs.items(), results, strict=True):
@@ -114,16 +114,16 @@ def decoded_accessors(document: Document, arrays: Arrays, file: str) -> dict[int
         InputError: one cannot be decoded, or differs from its accessor in count or width.
     """
     accessors, places = entries(document, "accessors"), []
-    jobs: dict[int, Job] = {}
+    jobs: dict[int, DecodingJob] = {}
     for mesh in entries(document, "meshes"):
         for primitive in entries(mesh, "primitives"):
             stated = extension_of(primitive, DRACO)
             if stated and not _is_held(primitive, accessors):
                 number = natural(stated["bufferView"])
-                jobs.setdefault(number, Job("draco", arrays.view(number)))
+                jobs.setdefault(number, DecodingJob("draco", arrays.view(number)))
                 places.append((primitive, dict(stated["attributes"]), number))
     results = dict(zip(jobs, decode(list(jobs.values()), _most_decoded(document), file), strict=True))
-    found: dict[int, Array] = {}
+    decoded: dict[int, Array] = {}
     for primitive, ids, number in places:
         if results[number].problem:
             raise InputError(file, f"bufferView {number}", f"{DRACO} cannot be decoded ({results[number].problem})", "export it again")
@@ -136,8 +136,8 @@ def decoded_accessors(document: Document, arrays: Arrays, file: str) -> dict[int
             if array is None or len(array) != stated.get("count") or array.shape[1] != WIDTHS.get(stated.get("type", "")):
                 raise InputError(file, f"accessor {index}", f"differs from its {DRACO}", "export it again")
             kind = np.dtype(DTYPES[stated["componentType"]])
-            found[index] = array if array.dtype.kind == kind.kind == "f" or index == primitive.get("indices") else array.astype(kind)
-    return found
+            decoded[index] = array if array.dtype.kind == kind.kind == "f" or index == primitive.get("indices") else array.astype(kind)
+    return decoded
 
 
 def _is_held(primitive: Document, accessors: list[dict[str, Any]]) -> bool:
@@ -149,5 +149,5 @@ def _is_held(primitive: Document, accessors: list[dict[str, Any]]) -> bool:
 def _most_decoded(document: Document) -> int:
     """Most bytes that compressed contents may decode to: the accessors' own, and what their decoder adds to them."""
     accessors = entries(document, "accessors")
-    stated = sum(natural(one["count"]) * WIDTHS.get(one.get("type", ""), 16) * 4 for one in accessors)
-    return 4 * stated + sum(natural(one["byteLength"]) for one in entries(document, "bufferViews")) + BUDGET.zero_bytes
+    stated = sum(natural(entry["count"]) * WIDTHS.get(entry.get("type", ""), 16) * 4 for entry in accessors)
+    return 4 * stated + sum(natural(entry["byteLength"]) for entry in entries(document, "bufferViews")) + BUDGET.zero_bytes

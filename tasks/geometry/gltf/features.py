@@ -118,15 +118,15 @@ class FoundFeature:
 
 def find_features(document: Document) -> list[FoundFeature]:
     """Features that a file uses, sorted by name; values of the wrong kind count as absent."""
-    found = [FoundFeature(CORE[name], count) for name, count in _core_counts(document).items() if count]
+    uses = [FoundFeature(CORE[name], count) for name, count in _core_counts(document).items() if count]
     places = Counter(_named_extensions(document))
     used, required = (set(_texts(document.get(key))) for key in ("extensionsUsed", "extensionsRequired"))
     for name in places.keys() | used | required:
         feature = EXTENSIONS.get(name)
         if feature is None and name in required:
             feature = Feature(name, "refused", "the file requires it, and it is not read")
-        found.append(FoundFeature(feature or Feature(name, "noted", "is not read"), places[name], name in required))
-    return sorted(found, key=lambda one: one.feature.name)
+        uses.append(FoundFeature(feature or Feature(name, "noted", "is not read"), places[name], name in required))
+    return sorted(uses, key=lambda entry: entry.feature.name)
 
 
 def check_features(document: Document, file: str) -> tuple[str, ...]:
@@ -136,13 +136,13 @@ def check_features(document: Document, file: str) -> tuple[str, ...]:
         InputError: the file uses a feature without which its geometry would be wrong, or a value is of the wrong kind; names it.
     """
     notes = []
-    for one in find_features(document):
-        if one.feature.treatment == "refused":
-            field = "extensionsRequired" if one.is_required else "feature"
-            problem = f"uses {one.feature.name}: {one.feature.effect}"
+    for entry in find_features(document):
+        if entry.feature.treatment == "refused":
+            field = "extensionsRequired" if entry.is_required else "feature"
+            problem = f"uses {entry.feature.name}: {entry.feature.effect}"
             raise InputError(file, field, problem, "export it as a glTF 2.0 binary without it")
-        if one.feature.treatment == "noted":
-            notes.append(f"{file}: {one.text}")
+        if entry.feature.treatment == "noted":
+            notes.append(f"{file}: {entry.text}")
     for field, problem in _misshapen(document):
         raise InputError(file, field, problem, "export it again")
     return tuple(notes)
@@ -155,7 +155,7 @@ def _misshapen(document: Document) -> Iterator[tuple[str, str]]:
         plain = material.get("pbrMetallicRoughness", {})
         if not isinstance(plain, dict):
             yield f"material {index}", "pbrMetallicRoughness is not an object"
-        for holder in (one for one in (material, plain) if isinstance(one, dict)):
+        for holder in (entry for entry in (material, plain) if isinstance(entry, dict)):
             for key, value in holder.items():
                 number = value.get("index") if isinstance(value, dict) else value
                 if key.endswith("Texture") and not (type(number) is int and 0 <= number < textures):
@@ -166,8 +166,8 @@ def _misshapen(document: Document) -> Iterator[tuple[str, str]]:
         for value in values:
             if isinstance(value, dict):
                 extensions = value.get("extensions")
-                for name, one in extensions.items() if isinstance(extensions, dict) else ():
-                    if not isinstance(one, dict):
+                for name, entry in extensions.items() if isinstance(extensions, dict) else ():
+                    if not isinstance(entry, dict):
                         yield "extensions", f"{name:.60} is not an object"
                 level += [inner for key, inner in value.items() if key != "extras"]
             elif isinstance(value, list):
@@ -178,18 +178,18 @@ def _core_counts(document: Document) -> dict[str, int]:
     """Places of the features of glTF itself that are not read in full."""
     version = objects(document.get("asset"))[0].get("version", "2.0") if isinstance(document.get("asset"), dict) else "2.0"
     nodes, meshes, scenes = (entries(document, key) for key in ("nodes", "meshes", "scenes"))
-    primitives = [one for mesh in meshes for one in entries(mesh, "primitives")]
+    primitives = [entry for mesh in meshes for entry in entries(mesh, "primitives")]
     drawn = drawn_nodes(document)
     shown = {nodes[index].get("mesh") for index in drawn if isinstance(nodes[index].get("mesh"), int)}
     placed = {node["mesh"] for node in nodes if isinstance(node.get("mesh"), int)}
     return {
-        "points and lines": sum(one.get("mode", 4) in (0, 1, 2, 3) for one in primitives),
+        "points and lines": sum(entry.get("mode", 4) in (0, 1, 2, 3) for entry in primitives),
         "animations": len(entries(document, "animations")),
         "cameras": len(entries(document, "cameras")),
         "several scenes": len(scenes) if len(scenes) > 1 else 0,
         "meshes outside the scene": len(placed - shown) if scenes else 0,
-        "cut-outs and transparency": sum(one.get("alphaMode") in ("MASK", "BLEND") for one in entries(document, "materials")),
-        "data in other files": sum(is_elsewhere(one) for one in entries(document, "buffers")),
+        "cut-outs and transparency": sum(entry.get("alphaMode") in ("MASK", "BLEND") for entry in entries(document, "materials")),
+        "data in other files": sum(is_elsewhere(entry) for entry in entries(document, "buffers")),
         "glTF 1.0": int(str(version).startswith("1") or isinstance(document.get("meshes"), dict)),
         "no scene": int(bool(placed) and not scenes),
     }
@@ -205,13 +205,13 @@ def drawn_nodes(document: Document) -> list[int]:
     """Nodes of the scene that is read, in order of their first visit; hidden ones are left out with all below them."""
     nodes, scenes, number = entries(document, "nodes"), entries(document, "scenes"), document.get("scene", 0)
     scene = scenes[number] if isinstance(number, int) and 0 <= number < len(scenes) else {}
-    found: dict[int, None] = {}
+    visited: dict[int, None] = {}
     level = _indices(scene.get("nodes"), len(nodes))
     while level:
-        level = [index for index in level if index not in found and not is_hidden(nodes[index])]
-        found.update(dict.fromkeys(level))
+        level = [index for index in level if index not in visited and not is_hidden(nodes[index])]
+        visited.update(dict.fromkeys(level))
         level = [child for index in level for child in _indices(nodes[index].get("children"), len(nodes))]
-    return list(found)
+    return list(visited)
 
 
 def is_hidden(node: Document) -> bool:
@@ -231,13 +231,13 @@ def _named_extensions(value: Any) -> Iterator[str]:
     level = [value]
     while level:
         level, values = [], level
-        for one in values:
-            if isinstance(one, dict):
-                extensions = one.get("extensions")
+        for entry in values:
+            if isinstance(entry, dict):
+                extensions = entry.get("extensions")
                 yield from extensions if isinstance(extensions, dict) else ()
-                level += [inner for key, inner in one.items() if key != "extras"]
-            elif isinstance(one, list):
-                level += one
+                level += [inner for key, inner in entry.items() if key != "extras"]
+            elif isinstance(entry, list):
+                level += entry
 
 
 def entries(document: Document, name: str) -> list[dict[str, Any]]:
@@ -248,14 +248,14 @@ def entries(document: Document, name: str) -> list[dict[str, Any]]:
 def objects(value: Any) -> list[dict[str, Any]]:
     """The objects in a list, or the one object; members of another kind are empty."""
     values = value if isinstance(value, list) else [value] if isinstance(value, dict) else []
-    return [one if isinstance(one, dict) else {} for one in values]
+    return [entry if isinstance(entry, dict) else {} for entry in values]
 
 
 def _texts(value: Any) -> list[str]:
-    return [one for one in value if isinstance(one, str)] if isinstance(value, list) else []
+    return [entry for entry in value if isinstance(entry, str)] if isinstance(value, list) else []
 
 
 def _indices(value: Any, count: int) -> list[int]:
     """Indices below a count, each once."""
     values = value if isinstance(value, list) else []
-    return list(dict.fromkeys(one for one in values if type(one) is int and 0 <= one < count))
+    return list(dict.fromkeys(entry for entry in values if type(entry) is int and 0 <= entry < count))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.geometry.gltf.arrays import Arrays, natural
-from tasks.geometry.gltf.decoding import Job, decode
+from tasks.geometry.gltf.decoding import DecodingJob, decode
 from tasks.geometry.gltf.features import BASIS, IMAGE_EXTENSIONS, Document, entries, extension_of, is_elsewhere
 from tasks.unpacking import KTX2, image_pixels
 
@@ -62,7 +62,7 @@ class Images:
         names = sorted({index for texture in self._textures for _, index in self._sources(texture)})
         packed = {index: data for index in names if (data := self._content(index)) is not None and data[:12] == KTX2}
         most = sum(4 * pixels + 2**16 for data in packed.values() if (pixels := image_pixels(data) or 0) <= BUDGET.pixels)
-        results = decode([Job("basis", data) for data in packed.values()], min(most, BUDGET.all_pixels), self._file)
+        results = decode([DecodingJob("basis", data) for data in packed.values()], min(most, BUDGET.all_pixels), self._file)
         for index, result in zip(packed, results, strict=True):
             self._files[index] = None if result.problem else result.arrays["png"].tobytes()
             if result.problem:
@@ -74,8 +74,8 @@ class Images:
     def _sources(self, texture: Document) -> list[tuple[str, int]]:
         """Extension and number of the images that a texture names, in the order in which they are tried."""
         named = [(name, extension_of(texture, name).get("source")) for name in IMAGE_EXTENSIONS]
-        found = [(name, index) for name, index in (*named, ("", texture.get("source"))) if type(index) is int]
-        return [(name, index) for name, index in found if 0 <= index < len(self._images)]
+        sources = [(name, index) for name, index in (*named, ("", texture.get("source"))) if type(index) is int]
+        return [(name, index) for name, index in sources if 0 <= index < len(self._images)]
 
     def image_of(self, texture: Any) -> int | None:
         """Number of the first image of a texture that can be decoded; None without one."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tasks.geometry.gltf.arrays import Array, Arrays, Floats, Writer
+from tasks.geometry.gltf.arrays import Array, Arrays, ArrayWriter, Floats
 from tasks.geometry.gltf.features import GLOSS, TRANSFORM, Document, entries, extension_of, objects
 from tasks.geometry.gltf.images import REPEAT, Images, Padding, repeated_lookup
 
@@ -18,7 +18,7 @@ _OTHERS = ("normalTexture", "occlusionTexture", "emissiveTexture")
 
 
 @dataclasses.dataclass(frozen=True)
-class Look:
+class PlainLook:
     """How a primitive looks. material: of the new document. uv: shape (n, 2). colors: linear RGBA from 0 to 1, or bytes, shape (n, 4)."""
 
     material: int | None = None
@@ -26,13 +26,13 @@ class Look:
     colors: Array | None = None
 
 
-class Looks:
+class PlainLooks:
     """Materials of a document as plain ones, written as they are asked for.
 
     materials, textures, images: of the new document. notes: lines on what is not read.
     """
 
-    def __init__(self, document: Document, arrays: Arrays, writer: Writer, file: str) -> None:
+    def __init__(self, document: Document, arrays: Arrays, writer: ArrayWriter, file: str) -> None:
         self.materials: list[dict[str, Any]] = []
         self.textures: list[dict[str, Any]] = []
         self.images: list[dict[str, Any]] = []
@@ -54,7 +54,7 @@ class Looks:
         if attributes:
             self._note(f"mesh {name}: {', '.join(attributes)} are not as many as its positions: drawn without them")
 
-    def of(self, primitive: Document, attributes: dict[str, Floats], faces: Array, name: str) -> Look:
+    def of(self, primitive: Document, attributes: dict[str, Floats], faces: Array, name: str) -> PlainLook:
         """The look of a primitive.
 
         Args:
@@ -65,7 +65,7 @@ class Looks:
         """
         colors = self._vertex_colors(attributes, name)
         if "material" not in primitive:
-            return Look(colors=colors)
+            return PlainLook(colors=colors)
         material = entries(self._document, "materials")[primitive["material"]]
         plain = self._plain_material(material)
         base = plain[_PBR].pop(_BASE, None)
@@ -74,20 +74,20 @@ class Looks:
             uv = self._coordinates(objects(base)[0], attributes, name)
             if uv is not None:
                 wraps = self._wraps(base["index"])
-                found = repeated_lookup(uv, faces, wraps, self._source.size(index))
-                if not found.is_exact:
+                lookup = repeated_lookup(uv, faces, wraps, self._source.size(index))
+                if not lookup.is_exact:
                     self._note(f"mesh {name}: its clamped texture is read at the vertices alone")
-                uv, padding, image = found.uv, found.padding, self._image(index, found.padding)
+                uv, padding, image = lookup.uv, lookup.padding, self._image(index, lookup.padding)
         if image is not None:
             plain[_PBR][_BASE] = {"index": self._texture(image)}
         self._add_others(material, plain, base, padding, name)
         if colors is not None:
             colors = self._mixed(plain, colors, image is not None, name)
         if colors is not None:
-            return Look(colors=colors)
+            return PlainLook(colors=colors)
         if uv is None:
             uv = attributes.get("TEXCOORD_0")
-        return Look(self._add(self.materials, plain), uv)
+        return PlainLook(self._add(self.materials, plain), uv)
 
     def _vertex_colors(self, attributes: dict[str, Floats], name: str) -> Array | None:
         """Linear RGBA of each vertex; None without colors, or with colors that do not fit."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from schemas.errors import InputError
 from tasks.containers import close_glb, over_budget
-from tasks.geometry.gltf.arrays import Array, Arrays, Floats, Writer, natural
+from tasks.geometry.gltf.arrays import Array, Arrays, ArrayWriter, Floats, natural
 from tasks.geometry.gltf.decoding import decoded_accessors, decoded_views
 from tasks.geometry.gltf.features import (
     DRACO,
@@ -33,8 +33,8 @@ from tasks.geometry.gltf.features import (
     find_features,
 )
 from tasks.geometry.gltf.images import REPEAT
-from tasks.geometry.gltf.looks import Look, Looks
-from tasks.geometry.gltf.posing import Shape, joint_poses, morphed, plain_tree, skinned
+from tasks.geometry.gltf.looks import PlainLook, PlainLooks
+from tasks.geometry.gltf.posing import PosedMesh, joint_poses, morphed, plain_tree, skinned
 
 _REWRITTEN = {DRACO, GLOSS, INSTANCING, TRANSFORM, VISIBILITY, "KHR_mesh_quantization", *MESHOPT, *IMAGE_EXTENSIONS}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -81,14 +81,14 @@ def plain_glb(data: bytes, document: Document, file: str) -> PlainGlb:
 
 def is_encoded(document: Document) -> bool:
     """True if a file uses an extension that is decoded or applied."""
-    return any(one.feature.name in _REWRITTEN for one in find_features(document))
+    return any(entry.feature.name in _REWRITTEN for entry in find_features(document))
 
 
 def _special_features(document: Document, binary: bytes) -> Iterator[str]:
     """Features that the general loader reads otherwise than stated, or not at all."""
-    yield from (one.feature.name for one in find_features(document) if one.feature.name in _REWRITTEN)
+    yield from (entry.feature.name for entry in find_features(document) if entry.feature.name in _REWRITTEN)
     buffers, accessors, meshes = (entries(document, key) for key in ("buffers", "accessors", "meshes"))
-    if len(buffers) > 1 or any("uri" in one for one in buffers):
+    if len(buffers) > 1 or any("uri" in entry for entry in buffers):
         yield "buffers"
     for node in entries(document, "nodes"):
         if "skin" in node or "camera" in node or any(node.get("weights", ())):
@@ -103,15 +103,15 @@ def _special_features(document: Document, binary: bytes) -> Iterator[str]:
             if primitive.get("mode", _TRIANGLES) != _TRIANGLES or ("COLOR_0" in attributes and "material" in primitive):
                 yield "primitives"
             named = [accessors[natural(attributes[key])] for key in attributes if key.startswith(("POSITION", "NORMAL", "TEXCOORD"))]
-            named += [one for key in ("COLOR_0",) if key in attributes and not _is_color(one := accessors[natural(attributes[key])])]
+            named += [entry for key in ("COLOR_0",) if key in attributes and not _is_color(entry := accessors[natural(attributes[key])])]
             indices = [accessors[natural(primitive["indices"])]] if "indices" in primitive else []
-            if any(one.get("componentType") != 5126 for one in named) or any("sparse" in one for one in (*named, *indices)):
+            if any(entry.get("componentType") != 5126 for entry in named) or any("sparse" in entry for entry in (*named, *indices)):
                 yield "numbers"
-            if len({one.get("count") for one in named}) > 1:
+            if len({entry.get("count") for entry in named}) > 1:
                 yield "attributes of different lengths"
             if any(_is_looked_up(material, attributes) for material in _materials_of(document, primitive)):
                 yield "textures"
-    if any(key in one for one in entries(document, "samplers") for key in ("wrapS", "wrapT") if one.get(key, REPEAT) != REPEAT):
+    if any(key in entry for entry in entries(document, "samplers") for key in ("wrapS", "wrapT") if entry.get(key, REPEAT) != REPEAT):
         yield "samplers"
     yield from ("textures" for texture in entries(document, "textures") if "source" not in texture)
     yield from ("images" for image in entries(document, "images") if not _is_plain_image(document, image, binary))
@@ -167,11 +167,11 @@ def _rewritten(document: Document, binary: bytes, notes: tuple[str, ...], file: 
         raise InputError(file, "buffers", f"have no readable base64 ({error})", "export it again as glTF binary") from error
     arrays = Arrays(document, buffers, decoded_views(document, buffers, file), {})
     arrays = Arrays(document, buffers, arrays.decoded, decoded_accessors(document, arrays, file))
-    writer = Writer()
-    looks = Looks(document, arrays, writer, file)
+    writer = ArrayWriter()
+    looks = PlainLooks(document, arrays, writer, file)
     tree = plain_tree(document, arrays)
     meshes: list[dict[str, Any]] = []
-    numbers: dict[Shape, int | None] = {}
+    numbers: dict[PosedMesh, int | None] = {}
     for index, shape in tree.shapes.items():
         if shape not in numbers:
             mesh = _mesh(document, shape, arrays, writer, looks)
@@ -194,7 +194,7 @@ def _rewritten(document: Document, binary: bytes, notes: tuple[str, ...], file: 
     return PlainGlb(close_glb(plain, chunk), plain, (*notes, *looks.notes))
 
 
-def _mesh(document: Document, shape: Shape, arrays: Arrays, writer: Writer, looks: Looks) -> dict[str, Any]:
+def _mesh(document: Document, shape: PosedMesh, arrays: Arrays, writer: ArrayWriter, looks: PlainLooks) -> dict[str, Any]:
     """A mesh as a node shows it, with plain primitives; those without triangles are left out."""
     mesh = entries(document, "meshes")[shape.mesh]
     joints = None if shape.skin is None else joint_poses(document, shape.skin, arrays)
@@ -252,7 +252,7 @@ def triangles_of(corners: Array, mode: int) -> Array:
     return faces[(a != b) & (b != c) & (c != a)].astype(np.uint32)
 
 
-def _written(positions: Floats, faces: Array, normals: Floats | None, look: Look, writer: Writer) -> dict[str, Any]:
+def _written(positions: Floats, faces: Array, normals: Floats | None, look: PlainLook, writer: ArrayWriter) -> dict[str, Any]:
     """A primitive of the new document."""
     attributes = {"POSITION": writer.accessor(positions.astype("<f4"))}
     if normals is not None and normals.shape[1] == 3:

@@ -15,7 +15,7 @@ _MOVES = ("matrix", "translation", "rotation", "scale")
 
 
 @dataclasses.dataclass(frozen=True)
-class Shape:
+class PosedMesh:
     """A mesh as a node shows it. weights: of its morph targets. skin: the skin that moves it, or None."""
 
     mesh: int
@@ -29,7 +29,7 @@ class Tree:
 
     nodes: list[dict[str, Any]]
     roots: list[int]
-    shapes: dict[int, Shape]
+    shapes: dict[int, PosedMesh]
 
 
 def plain_tree(document: Document, arrays: Arrays) -> Tree:
@@ -47,13 +47,13 @@ def plain_tree(document: Document, arrays: Arrays) -> Tree:
         if "mesh" in nodes[old]:
             number = natural(nodes[old]["mesh"])
             weights = tuple(float(w) for w in nodes[old].get("weights", meshes[number].get("weights", ())))
-            shape = Shape(number, weights if any(weights) else ())
+            shape = PosedMesh(number, weights if any(weights) else ())
             name = nodes[old].get("name") or meshes[number].get("name")
             _place(tree, numbers[old], nodes[old], shape, name, arrays)
     return tree
 
 
-def _place(tree: Tree, number: int, node: Document, shape: Shape, name: Any, arrays: Arrays) -> None:
+def _place(tree: Tree, number: int, node: Document, shape: PosedMesh, name: Any, arrays: Arrays) -> None:
     """Let a node show a shape: by itself, by its instances, or as a skinned mesh at the root."""
     named = {"name": str(name)} if name else {}
     if "skin" in node:
