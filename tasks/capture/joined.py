@@ -44,8 +44,9 @@ def split_joined(groups: tuple[Group, ...], surface: Surface, file: str) -> tupl
             walls = sum(piece.raw_label == "wall" for piece in pieces)
             object_count = len(pieces) - 1 - walls
             notes.append(
-                f"{file}: node {group.source_id!r:.60} also holds {walls} walls and {object_count} other objects, which have lost their names: "
-                "a program joined meshes of one material (gltf-transform optimize keeps them with --join false)"
+                f"{file}: node {group.source_id!r:.60} also holds {walls} walls and {object_count} other objects, "
+                "which have lost their names: a program joined meshes of one material "
+                "(gltf-transform optimize keeps them with --join false)"
             )
     return tuple(split_groups), tuple(notes)
 
