@@ -9,6 +9,9 @@ from xml.etree import ElementTree
 
 from schemas.budget import BUDGET
 
+KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
+"""The first bytes of a KTX 2 image."""
+
 
 def gunzip(data: bytes) -> bytes:
     """What gzip packed.
@@ -63,6 +66,9 @@ def image_pixels(data: bytes) -> int | None:
     """Pixels that an image's head declares, None where it has none that can be read."""
     from PIL import Image
 
+    if data[:12] == KTX2:
+        width, height = (int.from_bytes(data[start : start + 4], "little") for start in (20, 24))
+        return width * max(height, 1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here

@@ -313,6 +313,7 @@ OWN = {
     "tasks/capture/poses/open3d.py": "what a child process of ours reads",
     "tasks/capture/poses/open3d_script.py": "what its parent wrote",
     "tasks/exports/files.py": "the export that is written",
+    "tasks/geometry/gltf/child.py": "what its parent wrote",
     "tasks/exports/mjcf/rules.py": "MuJoCo opens by itself",
     "tasks/exports/usd/package.py": "a file that is open",
     "tasks/kernels/__init__.py": "code of the project",

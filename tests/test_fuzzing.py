@@ -47,6 +47,7 @@ OWN = {
     "tasks/geometry/meshes.py asset_surface": "reads blobs of the lake",
     "tasks/geometry/meshes.py read_points": "reads blobs of the lake",
     "tasks/geometry/pieces.py _unpacked": "reads its own cache",
+    "tasks/geometry/gltf/child.py": "is the child of `tasks.geometry.gltf.decoding.decode`, which is fuzzed",
     "tasks/replica.py": "reads blobs of the lake",
     "tasks/robot/cart.py": "reads the scene that it just wrote",
     "tasks/views/crops.py decoded": "reads blobs of the lake",

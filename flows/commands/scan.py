@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import click
@@ -32,7 +33,7 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     from schemas.errors import InputError
     from schemas.files import read_file
     from tasks.containers import GLB_MAGIC
-    from tasks.geometry.meshes import load_glb
+    from tasks.geometry.meshes import load_glb, read_features
     from tasks.scanner import ScannerConfig, scan_scene
 
     scan = name or scene.stem
@@ -45,8 +46,10 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     shutil.rmtree(making, ignore_errors=True)
     making.mkdir(parents=True)
     try:
-        parts = load_glb(read_file(scene, scene.name, BUDGET.scene_bytes, magic=GLB_MAGIC), scene.name)
-        truth = scan_scene(parts, making, scan, config, np.random.default_rng(seed))
+        plain = read_features(read_file(scene, scene.name, BUDGET.scene_bytes, magic=GLB_MAGIC), scene.name)
+        for note in plain.notes:
+            print(note, file=sys.stderr)
+        truth = scan_scene(load_glb(plain.data, scene.name), making, scan, config, np.random.default_rng(seed))
         for made in sorted(making.iterdir()):
             made.rename(out / made.name)
     finally:

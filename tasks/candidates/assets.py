@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from schemas.candidates import Asset, TextureCharts
+from tasks.geometry.encoded_images import has_image
 from tasks.geometry.meshes import Surface, canonical, dump_bodies, dump_glb, surface_of
 from tasks.geometry.plain_glb import PlainBody
 from tasks.geometry.triangles import enclosed_volume, is_closed, openness, signed_volumes, welded
@@ -109,7 +110,7 @@ def make_asset(
         volume_m3=volume,
         is_watertight=closed is not None,
         open_reason=None if closed is not None else openness(joined(surface).faces),
-        has_texture=textured,
+        has_texture=any(has_image(part) for part in parts),
         vertex_count=len(surface.vertices),
         face_count=len(surface.faces),
     )

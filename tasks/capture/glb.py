@@ -13,12 +13,13 @@ from schemas.errors import InputError
 from tasks.capture.bare_mesh.upright import Y_UP, bare_reading
 from tasks.capture.files.documents import license_of, name_of, read_bytes
 from tasks.capture.files.ply import check_vertices
+from tasks.capture.joined import split_joined
 from tasks.capture.labels import Label
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Group, Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
 from tasks.containers import GLB_MAGIC
-from tasks.geometry.meshes import Surface, load_glb, parse_node_name, surface_of
+from tasks.geometry.meshes import Surface, load_glb, parse_node_name, read_features, surface_of
 from tasks.geometry.transforms import Y_UP_TO_Z_UP
 from tasks.geometry.triangles import face_areas
 
@@ -49,7 +50,8 @@ def read_glb_scene(scan: Scan) -> Reading:
     name = name_of(path, folder)
     data = read_bytes(path, name, BUDGET.scene_bytes, GLB_MAGIC)
     try:
-        parts = load_glb(data, name)
+        plain = read_features(data, name)
+        parts = load_glb(plain.data, name)
         surface = surface_of(parts)
     except (ValueError, IndexError) as error:
         raise InputError(name, "meshes", f"are broken ({error})", "export it again") from error
@@ -74,6 +76,7 @@ def read_glb_scene(scan: Scan) -> Reading:
         )
         for (model, label), own in sorted(members.items())
     )
+    groups, joined_notes = split_joined(groups, surface, name)
     return Reading(
         surface=surface,
         parts=tuple(parts),
@@ -83,8 +86,8 @@ def read_glb_scene(scan: Scan) -> Reading:
         room_type="",
         license=license_of(license_path(folder, scan.premises)),
         is_dense=False,
-        degradations=("no frames in the scene: no views, no masks",),
-        glb=data,
+        degradations=("no frames in the scene: no views, no masks", *plain.notes, *joined_notes),
+        glb=plain.data,
         from_file=Y_UP_TO_Z_UP,
     )
 

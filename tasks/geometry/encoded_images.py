@@ -46,6 +46,11 @@ def textures(part: Any, of_any_kind: bool = False) -> list[tuple[Any, str, Any]]
     return [(m, name, image) for m, name, image in maps if hasattr(image, "info") or (of_any_kind and image is not None)]
 
 
+def has_image(part: Any) -> bool:
+    """True if a part shows an image, rather than the color of its material or its vertices."""
+    return any(name in ("baseColorTexture", "image") for _, name, _ in textures(part))
+
+
 def keep_encoded(part: Any) -> None:
     """Remember the image file of every texture that was not decoded yet; copies carry it along."""
     for _, _, image in textures(part):

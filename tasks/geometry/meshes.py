@@ -19,6 +19,7 @@ from tasks.containers import weigh_glb
 from tasks.geometry.colors import bytes_of_linear, linear_of, shorts_of_bytes, tinted
 from tasks.geometry.colors.gltf import COLORS, GRAY, displayed_glb, put_linear
 from tasks.geometry.encoded_images import keep_encoded, put_encoded, textures
+from tasks.geometry.gltf.plain import PlainGlb, plain_glb
 from tasks.geometry.plain_glb import PlainBody, read_plain, write_plain
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 from tasks.geometry.triangles import face_crosses, spread_by
@@ -66,6 +67,16 @@ class Surface:
         return mesh
 
 
+def read_features(data: bytes, file: str = "mesh.glb") -> PlainGlb:
+    """The plain GLB of a file of others, with notes on the features that are not read.
+
+    Raises:
+        InputError: it is not a GLB, would take more than the budget, or uses a feature without which its geometry would be wrong.
+    """
+    document = weigh_glb(data, file)
+    return PlainGlb(data, document) if read_plain(data, document) is not None else plain_glb(data, document, file)
+
+
 def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     """Parts of a GLB in a +Z-up frame [m], node transforms applied, in the order of the file's node names.
 
@@ -75,15 +86,16 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
 
     Raises:
         InputError: the file is no GLB, would take more than the budget, holds no triangles, triangles of vertices that are
-            not there, coordinates that are not finite, or images that cannot be decoded.
+            not there, coordinates that are not finite, images that cannot be decoded, or a feature that is refused.
     """
     import trimesh
 
     document = weigh_glb(data, file)
-    plain = read_plain(data, document)
-    if plain is not None:
-        return [body.mesh() for body in plain]
-    data = displayed_glb(data, document, file)
+    bodies = read_plain(data, document)
+    if bodies is not None:
+        return [body.mesh() for body in bodies]
+    plain = plain_glb(data, document, file)
+    data, document = displayed_glb(plain.data, plain.document, file), dict(plain.document)
     try:
         with warnings.catch_warnings(), np.errstate(invalid="ignore", over="ignore"):
             warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here

@@ -131,6 +131,7 @@ def _model(source: Source, template: Mapping[str, Any], stated: Mapping[str, Any
     pieces: list[trimesh.Trimesh] = []
     if template["collision"] and template["collision"] != template["render"]:
         pieces, more = read_model(source.root / template["collision"], source.root, is_z_up=False)
+        notes += more
         if not is_convex(pieces) or template["values"].get("join_collision_meshes") is True:
             pieces = []
     for part in (*parts, *pieces):

@@ -16,7 +16,7 @@ from schemas.files import is_there, read_file, stays_in
 from tasks.capture.files.documents import name_of, read_bytes
 from tasks.capture.files.ply import check_counts
 from tasks.containers import GLB_MAGIC
-from tasks.geometry.meshes import check_looks, load_glb
+from tasks.geometry.meshes import check_looks, load_glb, read_features
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ MAX_MODEL_BYTES, MAX_STAGE_BYTES = BUDGET.model_bytes, BUDGET.scene_bytes
 
 
 def read_model(path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYTES) -> tuple[list[trimesh.Trimesh], list[str]]:
-    """Parts of a mesh file in a +Z-up frame [m], textures kept; and what is missing of its materials, a line each.
+    """Parts of a mesh file in a +Z-up frame [m], textures kept; and notes on missing materials and unused features, a line each.
 
     is_z_up: Coordinates in the file have +Z up, else +Y up.
 
@@ -48,7 +48,7 @@ def read_model(path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYT
     notes: list[str] = []
     if kind == ".glb":
         _check_self_contained(data, name)
-        parts = _guarded_glb(data, name)
+        parts, notes = _guarded_glb(data, name)
         turn = Z_UP_TO_Y_UP if is_z_up else None
     else:
         parts, notes = _loaded(data, path, root, name, kind[1:])
@@ -74,9 +74,10 @@ def _check_self_contained(data: bytes, name: str) -> None:
             raise InputError(name, "uri", f"names another file, {match[1].decode('utf-8', 'replace')[:80]!r}", "pack it into the GLB")
 
 
-def _guarded_glb(data: bytes, name: str) -> list[trimesh.Trimesh]:
+def _guarded_glb(data: bytes, name: str) -> tuple[list[trimesh.Trimesh], list[str]]:
     try:
-        return load_glb(data, name)
+        plain = read_features(data, name)
+        return load_glb(plain.data, name), list(plain.notes)
     except (ValueError, IndexError, TypeError, KeyError) as error:
         raise InputError(name, "meshes", f"are broken ({error})", "export it again") from error
 

@@ -18,7 +18,7 @@ from schemas.files import read_file, stays_in, write_whole
 from schemas.machine.scratch import temporary_folder
 from tasks.calls.command import filled, places_in, run_apart
 from tasks.containers import GLB_MAGIC
-from tasks.geometry.meshes import Surface, load_glb, material_of, sample_surface, surface_of
+from tasks.geometry.meshes import Surface, load_glb, material_of, read_features, sample_surface, surface_of
 from tasks.geometry.proximity import closest_points
 from tasks.settings import Config, Count, Natural, Positive, Share, Texts
 from tasks.texturing.charts import ChartFigures, chart_figures
@@ -111,6 +111,7 @@ def painted(
             if not stays_in(out, folder):
                 raise InputError("out.glb", "file", "is a link that leads out of its folder", "")
             left = read_file(out, "out.glb", BUDGET.asset_bytes, "the program has to leave it", magic=GLB_MAGIC)
+            left = read_features(left, "out.glb").data
             figures = checked(wanted, left, command)
         except (InputError, ValueError) as error:
             return PaintedTwin(problem=str(error), seconds=ending.seconds)

@@ -32,6 +32,7 @@ from tests.conftest import REPOSITORY
 from tests.fuzzing.cases import Case, read_case
 from tests.replicas import Object, cube, rows_of, with_navigation
 from tests.tasks.geometry.colored import COLORED
+from tests.tasks.geometry.gltf import files as gltf_files
 
 REALDATA = Path(os.environ.get("METASCENES_REALDATA") or REPOSITORY.parent / "shared" / "realdata")
 """Files of others, where there are any (see tests/conftest.py)."""
@@ -139,6 +140,38 @@ def glb() -> list[Case]:
     colored = [made.glb() for made in COLORED if made.name in stated]
     found = [boxes, bytes(tree.export(file_type="glb")), next(iter(scene.values())), *colored]
     return [{"scene.glb": data} for data in found] + real("**/*.glb", "scene.glb")
+
+
+PACKED_GLTF = ("draco", "meshopt", "meshopt of Khronos", "meshopt exponents")
+"""Tables whose numbers a native decoder unpacks, in a process of its own."""
+
+
+def gltf() -> list[Case]:
+    """GLBs that use features of glTF: instances, skins, morph targets, sparse and whole numbers, textures and colors of all kinds."""
+    made = [make() for name, make in gltf_files.TABLES.items() if name not in PACKED_GLTF]
+    sampler = {"wrapS": 33071, "wrapT": 33648}
+    moved = gltf_files.colored_by(texCoord=1, extensions={"KHR_texture_transform": {"offset": [0.5, 2.0], "rotation": 1.0}})
+    cubes = [
+        gltf_files.painted(moved, {"TEXCOORD_1": [1.5, 0.5], "COLOR_0": [1.0, 0.5, 0.5, 1.0]}, source=0, sampler=0),
+        gltf_files.painted(
+            gltf_files.colored_by(), {"TEXCOORD_0": [0.5, 0.5]}, gltf_files.picture("WEBP"), extensions={"EXT_texture_webp": {"source": 0}}
+        ),
+        gltf_files.painted(
+            {"extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseTexture": {"index": 0}}}}, {"TEXCOORD_0": [0, 0]}
+        ),
+    ]
+    cubes[0].document["samplers"] = [sampler]
+    return [{"scene.glb": one.data()} for one in (*made, gltf_files.instanced(), *cubes)]
+
+
+def packed_gltf() -> list[Case]:
+    """GLBs whose meshes or images a native decoder unpacks."""
+    basis = {"KHR_texture_basisu": {"source": 0}}
+    images = [
+        gltf_files.painted(gltf_files.colored_by(), {"TEXCOORD_0": [0.7, 0.5]}, gltf_files.picture(kind), "image/ktx2", extensions=basis)
+        for kind in gltf_files.KTX2
+    ]
+    return [{"scene.glb": one.data()} for one in (*(gltf_files.TABLES[name]() for name in PACKED_GLTF), *images)]
 
 
 def doctor_urdf() -> list[Case]:

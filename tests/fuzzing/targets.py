@@ -84,6 +84,8 @@ def _readers() -> list[Target]:
 
     found = [
         Target("glb", PARSER, seeds.glb, _read_glb),
+        Target("gltf", PARSER, seeds.gltf, _read_glb),
+        Target("gltf packed", STAGE, seeds.packed_gltf, _read_glb),
         Target("ply", PARSER, seeds.ply, _read_ply),
         Target("sens", PARSER, seeds.sens, _read_sens),
         Target("poses", PARSER, seeds.poses, _read_poses),

@@ -20,10 +20,13 @@ from schemas.files import read_file
 from tasks.containers import GLB_MAGIC, open_glb, over_budget
 from tasks.exports.findings import Finding
 from tasks.exports.glb.tree import Document, listed, roots_of, seen_of, tree
+from tasks.geometry.gltf.features import find_features
+from tasks.geometry.gltf.plain import is_encoded, plain_glb
 
 RULES: dict[str, str] = {
     "container": "the file is a GLB of version 2 whose JSON says so",
     "budget": "opening it takes no more memory, pixels, faces, nodes and depth than a budget allows",
+    "features": "every feature that the file uses is read as it states it",
     "shape": "every value is of the kind that glTF has there",
     "references": "everything that is named by its number is there",
     "buffers": "buffers lie inside the file, views inside buffers, accessors inside views and at multiples of their numbers' size",
@@ -52,7 +55,8 @@ _COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "
 def check_glb(path: Path) -> list[Finding]:
     """Everything that is wrong with a GLB, sorted; empty for one that can be used as it is."""
     try:
-        document, binary = open_glb(read_file(path, path.name, BUDGET.scene_bytes, magic=GLB_MAGIC), path.name)
+        data = read_file(path, path.name, BUDGET.scene_bytes, magic=GLB_MAGIC)
+        document, binary = open_glb(data, path.name)
     except (InputError, OSError, RecursionError) as error:
         return [Finding("container", path.name, " ".join(str(error).split()))]
     version = document.get("asset", {}).get("version") if isinstance(document.get("asset"), dict) else None
@@ -62,12 +66,33 @@ def check_glb(path: Path) -> list[Finding]:
     if excess is not None:
         return [Finding("budget", f"{path.name} {excess[0]}", excess[1])]
     findings = list(_shape(path.name, document))
-    if not findings:
-        for check in (_references, _buffers, _geometry, _images, tree, _poses, _labels):
-            findings += check(path.name, document, binary)
-            if check in (_references, _buffers) and findings:
-                break  # what follows goes along references, into buffers
+    is_shaped = not findings
+    findings += _features(path.name, document)
+    if not is_shaped:
+        return sorted(set(findings))
+    # The other rules look into arrays and images, so they look at the decoded file.
+    if is_encoded(document):
+        try:
+            plain = plain_glb(data, document, path.name)
+        except InputError as error:
+            return sorted({*findings, Finding("features", f"{path.name} {error.field}", error.problem)})
+        found_texts = {entry.text for entry in find_features(document)}
+        notes = [note.removeprefix(f"{path.name}: ") for note in plain.notes]
+        findings += [Finding("features", path.name, note, False) for note in notes if note not in found_texts]
+        document, binary = open_glb(plain.data, path.name)
+    for check in (_references, _buffers, _geometry, _images, tree, _poses, _labels):
+        broken = list(check(path.name, document, binary))
+        findings += broken
+        if broken and check in (_references, _buffers):
+            break  # what follows goes along references, into buffers
     return sorted(set(findings))
+
+
+def _features(file: str, document: Document) -> Iterator[Finding]:
+    """Features that readers refuse, and, as warnings, those that they do not read."""
+    for entry in find_features(document):
+        if entry.feature.treatment != "read":
+            yield Finding("features", f"{file} {entry.feature.name}", entry.text, entry.feature.treatment == "refused")
 
 
 def _is_index(value: Any) -> bool:

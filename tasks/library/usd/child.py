@@ -12,7 +12,8 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import check_file, is_there, read_file, stays_in
-from tasks.library.confinement import MODEL, answer, limit
+from tasks.confinement import answer, limit
+from tasks.library.confinement import MODEL
 
 LAYERS = (".usd", ".usda", ".usdc")
 PICTURES = (".png", ".jpg", ".jpeg")

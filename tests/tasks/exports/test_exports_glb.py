@@ -293,6 +293,7 @@ DAMAGES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
     "image elsewhere": ("images", edited(lambda d: add_image(d, {"uri": "wood.png"})), "outside"),
     "image that is none": ("images", edited(lambda d: add_image(d, {"bufferView": 0, "mimeType": "image/png"})), "cannot be read"),
     "node with two parents": ("tree", edited(shared_child), "2 parents"),
+    "required extension": ("features", edited(lambda d: d.update(extensionsRequired=["ACME_walls"])), "ACME_walls"),
     "nodes in a circle": ("tree", edited(circle), "below itself"),
     "empty scene": ("tree", edited(lambda d: d["scenes"][0].update(nodes=[])), "no nodes"),
     "no name": ("names", edited(lambda d: node(d, BOX).pop("name")), "no name"),

@@ -318,17 +318,18 @@ def test_a_reader_that_takes_too_much_ends_alone(tmp_path: Path, monkeypatch: py
     """The limits are the child's: it dies of them, and the reason is a line."""
     import dataclasses
 
+    from tasks import confinement as children
     from tasks.library import confinement
 
     (tmp_path / "a.usda").write_text("#usda 1.0\n")
-    small = dataclasses.replace(confinement.BUDGET, seconds=1.0)
+    small = dataclasses.replace(children.BUDGET, seconds=1.0)
     for code, problem in (
-        ("import time, sys, tasks.library.confinement as c; c.limit(1, 2**31)\nwhile True: pass", "takes more than"),
-        ("import tasks.library.confinement as c; c.limit(9, 2**27); x = bytearray(2**30)", "MB of memory"),
+        ("import time, sys, tasks.confinement as c; c.limit(1, 2**31)\nwhile True: pass", "takes more than"),
+        ("import tasks.confinement as c; c.limit(9, 2**27); x = bytearray(2**30)", "MB of memory"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "dies \\(SIGSEGV\\)"),
         ("pass", "cannot be read"),
     ):
-        monkeypatch.setattr(confinement, "BUDGET", small)
+        monkeypatch.setattr(children, "BUDGET", small)
         monkeypatch.setattr(confinement, "CODE", code)
         with pytest.raises(InputError, match=problem):
             confinement.confined("read", tmp_path / "a.usda", tmp_path, "a.usda")

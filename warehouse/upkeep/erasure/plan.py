@@ -34,8 +34,8 @@ class ErasurePlan:
     def __or__(self, other: ErasurePlan) -> ErasurePlan:
         """Both, as begun by this one."""
         traces = self.traces | other.traces
-        sets = [getattr(self, name) | getattr(other, name) for name in ("blobs", "assets", "releases")]
-        return ErasurePlan(self.scene_id, self.started_at, traces, *sets, last=self.last)
+        blobs, assets, releases = self.blobs | other.blobs, self.assets | other.assets, self.releases | other.releases
+        return dataclasses.replace(self, traces=traces, blobs=blobs, assets=assets, releases=releases)
 
     def write(self, storage: Storage) -> None:
         """Keep the plan in the lake."""
