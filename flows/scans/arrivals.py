@@ -19,7 +19,7 @@ from flows.scans.listing import ScanListing, files_of
 from schemas.errors import InputError
 from schemas.wording import counted
 from tasks.capture.formats import survey
-from tasks.capture.scan import Scan
+from tasks.capture.scan import PassedOver, Scan
 from tasks.capture.wholeness import Gap, find_gap, is_temporary
 from warehouse.lake import Lake
 from warehouse.sharing.looks import Looks
@@ -66,12 +66,16 @@ class Arrival:
 
 @dataclasses.dataclass
 class Look:
-    """What a look found at the time `now` [s since the epoch], and what the next one is to remember."""
+    """What a look found at the time `now` [s since the epoch], and what the next one is to remember.
+
+    passed_over: Files that are not scans and need not be.
+    """
 
     now: float
     arrivals: list[Arrival]
     memory: dict[str, Any]
     before: dict[str, Any]
+    passed_over: tuple[InputError, ...] = ()
 
     def due(self, is_over: Callable[[str], bool]) -> list[Arrival]:
         """New and changed scans that no run is at work on; `is_over` says whether a run has ended.
@@ -150,7 +154,8 @@ def look(
         before = _memory(scans, lake).read()
         now = time.time() if now is None else now
         watcher = _Watcher(source, lake, settle_seconds, now, hashes, before)
-        return Look(now, watcher.look(format, dataset), watcher.memory, before)
+        arrivals = watcher.look(format, dataset)
+        return Look(now, arrivals, watcher.memory, before, tuple(watcher.passed_over))
     finally:
         hashes.save()
         source.close()
@@ -176,10 +181,13 @@ class _Watcher:
         self._before: Mapping[str, Any] = before if isinstance(before, dict) else {}
         self._after: dict[str, dict[str, Any]] = {}
         self.memory: dict[str, Any] = {"scans": self._after}
+        self.passed_over: list[InputError] = []
 
     def look(self, format: str, dataset: str | None) -> list[Arrival]:
         """Everything that lies there, by scene id."""
-        listings, errors = self._source.listing(format, dataset)
+        listings, wrong = self._source.listing(format, dataset)
+        errors = [error for error in wrong if not isinstance(error, PassedOver)]
+        self.passed_over = [error for error in wrong if isinstance(error, PassedOver)]
         for scene, listing in listings.items():
             self._recall(scene, listing.mark)
         copying = {scene: name for scene, listing in listings.items() if (name := _temporary(listing))}
@@ -385,5 +393,6 @@ def watch_report(latest: Look, asked: Iterable[Arrival] = (), run: str = "", fai
     overdue = tuple(f"{arrival.scan}: {arrival.why}" for arrival in latest.arrivals if arrival.is_overdue)
     return WatchReport(tuple(named("new")), tuple(named("changed")), named("waiting"), named("failed before"), len(named("known")),
                        overdue, tuple(arrival.scan for arrival in asked), run, tuple(failures),
-                       {arrival.scan: arrival.left_out for arrival in latest.arrivals if arrival.left_out},
+                       {arrival.scan: arrival.left_out for arrival in latest.arrivals if arrival.left_out}
+                       | {error.file: f"{error.problem}; {error.remedy}" if error.remedy else error.problem for error in latest.passed_over},
                        {arrival.scan: arrival.same_as for arrival in latest.arrivals if arrival.same_as})  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 from schemas.errors import InputError
 from schemas.families.scan_formats import SCAN_FORMATS
 from tasks.capture.premises import stores
-from tasks.capture.scan import RefusedScan, Scan, ScanFormat, license_path
+from tasks.capture.scan import UnusableScan, Scan, ScanFormat, license_path
 from tasks.capture.scene_ids import place_below, with_distinct_ids
 from tasks.capture.search import Search, search, unreadable
 from tasks.families import member, members
@@ -57,7 +57,7 @@ def find_scans(
     """Scans in `folder`, which is one scan or a folder of scans, sorted by scene id; and the errors of everything else.
 
     Each file whose ending a format reads becomes part of a scan, or is named in an error. A folder without a scan and one that
-    cannot be read are a `RefusedScan`. Files that are passed over are a `PassedOver`: what this project wrote, archives, other
+    cannot be read are a `UnusableScan`. Files that are passed over are a `PassedOver`: what this project wrote, archives, other
     files of a scan. Hidden files and files without such an ending are left out silently.
 
     `folder` and a scan's own folder may be links to anywhere. Any other link that leaves `folder` is left out and named,
@@ -85,7 +85,7 @@ def find_scans(
             named.append(scan)
         else:
             shown = place_below(scan.path, folder).encode("utf-8", "backslashreplace").decode()
-            errors.append(RefusedScan(InputError(shown, "name", "is no UTF-8", "rename the folder or file"), scan.path, scan.format))
+            errors.append(UnusableScan(InputError(shown, "name", "is no UTF-8", "rename the folder or file"), scan.path, scan.format))
     return with_distinct_ids(named, folder), errors
 
 

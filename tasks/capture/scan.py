@@ -66,7 +66,7 @@ class PassedOver(InputError):
     """A file or folder that is not a scan and need not be one. A run reports it and does not fail."""
 
 
-class RefusedScan(InputError):
+class UnusableScan(InputError):
     """A scan that cannot be used. `path` is its folder or file, `format` the format that it seems to have, '' if unknown."""
 
     def __init__(self, error: InputError, path: Path, format: str = "") -> None:

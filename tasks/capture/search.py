@@ -12,7 +12,7 @@ from schemas.wording import counted
 from tasks.capture.layout import folders_in
 from tasks.capture.likeness import IMAGES, convertible, is_junk, is_material, likeness, telling_format, visible
 from tasks.capture.products import is_product, product_of
-from tasks.capture.scan import PassedOver, RefusedScan, Scan, ScanFormat, files_named, leaving, matches
+from tasks.capture.scan import PassedOver, UnusableScan, Scan, ScanFormat, files_named, leaving, matches
 
 MAX_DEPTH = 2
 """Folders in folders that are searched for scans; collections have none deeper."""
@@ -75,15 +75,15 @@ def search(folder: Path, wanted: Search, depth: int = 0) -> Found:
     except OSError as error:
         return [], [unreadable(folder, error)]
     except InputError as error:
-        return [], [error if isinstance(error, RefusedScan | PassedOver) else RefusedScan(error, folder)]
+        return [], [error if isinstance(error, UnusableScan | PassedOver) else UnusableScan(error, folder)]
     if depth == 0 and not scans and all(isinstance(error, PassedOver) for error in errors):
         errors.append(_scanless(folder, wanted))
     return scans, errors
 
 
-def unreadable(folder: Path, error: OSError) -> RefusedScan:
+def unreadable(folder: Path, error: OSError) -> UnusableScan:
     """The error of a folder that cannot be read."""
-    return RefusedScan(InputError(folder.name, "folder", f"cannot be read ({error.strerror})", "check its permissions"), folder)
+    return UnusableScan(InputError(folder.name, "folder", f"cannot be read ({error.strerror})", "check its permissions"), folder)
 
 
 def _of_file(path: Path, wanted: Search) -> Found:
@@ -93,9 +93,9 @@ def _of_file(path: Path, wanted: Search) -> Found:
                 return [wanted.scan(format, path, name)], []
     own = wanted.format_of(path)
     if own is None:
-        return [], [RefusedScan(InputError(path.name, "file", "is no scan", f"expected {wanted.expected}"), path)]
+        return [], [UnusableScan(InputError(path.name, "file", "is no scan", f"expected {wanted.expected}"), path)]
     if wanted.admits(path) and is_product(path):
-        return [], [RefusedScan(InputError(path.name, "file", "was written by metascenes and is not a scan", _OTHER), path)]
+        return [], [UnusableScan(InputError(path.name, "file", "was written by metascenes and is not a scan", _OTHER), path)]
     return [wanted.scan(own, path, path.stem)], []
 
 
@@ -104,13 +104,13 @@ _OTHER = "name the scan that it was made from"
 
 def _of_folder(folder: Path, wanted: Search, depth: int) -> Found:
     if depth == 0 and (product := product_of(folder)):
-        return [], [RefusedScan(InputError(folder.name, "folder", f"is {product} of metascenes and not a scan", _OTHER), folder)]
+        return [], [UnusableScan(InputError(folder.name, "folder", f"is {product} of metascenes and not a scan", _OTHER), folder)]
     recorded = _recorded(folder, wanted)
     unread = _unread(folder, recorded, wanted) if recorded is not None else []
     if recorded is not None and not (unread and _format(recorded, wanted).within is not None):
         return [recorded], ([_unread_line(folder, recorded, unread)] if unread else [])
     if depth and not wanted.admits(folder):
-        return [], [RefusedScan(leaving(folder), folder)]
+        return [], [UnusableScan(leaving(folder), folder)]
     parts = {path: (format, name) for format in wanted.wanted if format.within is not None for path, name in format.within(folder)}
     meshes = [path for path in files_named(folder, wanted.suffixes) if path not in parts and not is_junk(path.name)]
     meshes = [path for path in meshes if path not in _models(meshes, list(parts))]
@@ -121,14 +121,14 @@ def _of_folder(folder: Path, wanted: Search, depth: int) -> Found:
     meshes = [path for path in meshes if path not in withheld]
     below, errors = _below(folder, wanted, depth, bool(meshes or parts))
     alone = meshes[0] if len(meshes) == 1 and not parts and not below and not withheld else None
-    is_folder_of_one = alone is not None and not any(isinstance(error, RefusedScan) and not _is_of_no_scan(error) for error in errors)
+    is_folder_of_one = alone is not None and not any(isinstance(error, UnusableScan) and not _is_of_no_scan(error) for error in errors)
     if is_folder_of_one and alone is not None:
         own = wanted.format_of(alone)
         scans = [wanted.scan(own, folder, folder.name)] if own is not None else []
     else:
         files = {path: (own, path.stem) for path in meshes if (own := wanted.format_of(path)) is not None} | parts
         scans = [wanted.scan(format, path, name) for path, (format, name) in sorted(files.items()) if wanted.admits(path)]
-        errors = [RefusedScan(leaving(path), path) for path in sorted(files) if not wanted.admits(path)] + errors
+        errors = [UnusableScan(leaving(path), path) for path in sorted(files) if not wanted.admits(path)] + errors
     scans += below
     if written:
         errors.append(_written_line(folder, f"{_listed(written, folder)}"))
@@ -262,7 +262,7 @@ def _too_deep(folder: Path, wanted: Search) -> list[InputError]:
         return []
     place = "/".join(folder.parts[-MAX_DEPTH - 1 :])
     problem = f"lies more than {MAX_DEPTH} folders deep and is not searched ({_listed(paths, folder)})"
-    return [RefusedScan(InputError(place, "folder", problem, "give a folder further down as --scans"), folder)]
+    return [UnusableScan(InputError(place, "folder", problem, "give a folder further down as --scans"), folder)]
 
 
 def _same_names(scans: Iterable[Scan]) -> list[InputError]:
@@ -290,10 +290,10 @@ def _written_line(folder: Path, names: str) -> PassedOver:
     return PassedOver(folder.name, "", f"{names}: {_WRITTEN}, not scans", "")
 
 
-def _scanless(folder: Path, wanted: Search, withheld: Sequence[Path] = ()) -> RefusedScan:
+def _scanless(folder: Path, wanted: Search, withheld: Sequence[Path] = ()) -> UnusableScan:
     """The error of a folder without a scan in it: what it looks like, and what to do."""
     if not any(visible(folder)):
-        return RefusedScan(InputError(folder.name, "folder", _EMPTY, f"expected {wanted.expected}"), folder)
+        return UnusableScan(InputError(folder.name, "folder", _EMPTY, f"expected {wanted.expected}"), folder)
     problem = f"{_NO_SCAN} ({', '.join(format.name for format in wanted.wanted)})"
     like = likeness(folder, wanted.wanted)
     remedy = f"expected {wanted.expected}"
@@ -303,7 +303,7 @@ def _scanless(folder: Path, wanted: Search, withheld: Sequence[Path] = ()) -> Re
         format = like[0].removeprefix("looks like ").partition(" ")[0] if f"; {like[0]}".startswith(_LOOKS) else ""
     if withheld:
         remedy += f"; --format bare_mesh reads {_listed(withheld, folder)} as it is"
-    return RefusedScan(InputError(folder.name, "folder", problem, remedy), folder, format)
+    return UnusableScan(InputError(folder.name, "folder", problem, remedy), folder, format)
 
 
 def _listed(paths: Sequence[Path], folder: Path) -> str:
