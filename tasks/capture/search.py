@@ -153,8 +153,8 @@ def _in_short(folder: Path, wanted: Search, depth: int, scans: list[Scan], error
         telling = [error for error in refusals if _LOOKS in error.problem]
         kept = telling if telling and _LOOKS not in own.problem else [own]
         return [], [error for error in errors if isinstance(error, PassedOver)] + list(kept)
-    if depth and not refusals and all(_WRITTEN in error.problem for error in errors):
-        return [], [_written_line(folder, folder.name)]
+    if depth and len(errors) > 1 and all(_WRITTEN in error.problem for error in errors):
+        return [], [PassedOver(folder.name, "", f"all that lies in it was {_WRITTEN}, not scans")]
     return [], errors
 
 
