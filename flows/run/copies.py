@@ -67,7 +67,7 @@ def apart_from_lake(scans: Sequence[Scan], reader: Reader) -> list[Scan]:
     apart = []
     for scan in scans:
         other = taken.get(scan.scene_id.casefold(), scan.scene_id)
-        apart.append(scan if other == scan.scene_id or scan.scene_id in known else marked_scan(scan, scan.scan, ()))
+        apart.append(scan if other == scan.scene_id or scan.scene_id in known else marked_scan(scan, scan.path.name, ()))
     return sorted(apart, key=lambda scan: scan.scene_id)
 
 

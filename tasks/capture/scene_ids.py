@@ -50,6 +50,7 @@ def place_below(path: Path, folder: Path) -> str:
     return path.relative_to(folder).as_posix() if path != folder else folder.name
 
 
-def _rank(scan: Scan, folder: Path) -> tuple[bool, int, str]:
+def _rank(scan: Scan, folder: Path) -> tuple[bool, bool, int, str]:
     place = place_below(scan.path, folder)
-    return plain_word(scan.scan) != scan.scan, len(place), place
+    is_copy = scan.scan not in (scan.path.name, scan.path.stem)  # its files say another name than its folder
+    return plain_word(scan.scan) != scan.scan, is_copy, len(place), place
