@@ -217,7 +217,8 @@ def replicate(
 ) -> Any:
     """Replica scenes of the scans at an address, into a lake. Scenes are independent: one that fails stops no other.
 
-    The run fails if a scan was refused, or a scene failed that had not failed before on the same input. Its result is a `flows.run.report.RunReport`.
+    The run fails if a scan was refused, or a scene failed that had not failed before on the same input. Its result is a
+    `flows.run.report.RunReport`.
 
     Args:
         scans: Folder of scans, one scan, or s3://bucket/prefix.
@@ -319,7 +320,13 @@ def state_of(report: RunReport) -> State[Any]:
 
 
 def _carry_out(
-    plan: Plan, lake: Lake, coordinator: Coordinator, scans: str, dataset: str | None, fan_out: FanOut, began: datetime,
+    plan: Plan,
+    lake: Lake,
+    coordinator: Coordinator,
+    scans: str,
+    dataset: str | None,
+    fan_out: FanOut,
+    began: datetime,
     refused_before: Collection[str],
 ) -> RunReport:
     """Compute what a plan says, commit it in batches, and leave no staged or temporary file behind."""

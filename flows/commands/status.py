@@ -58,7 +58,11 @@ def command(address: str, config_file: Path | None, settings: tuple[str, ...], s
     finally:
         gc.enable()
     if as_json:
-        print(json.dumps({**_json(status), "scenes": scenes, "errors": wrong, "broken_checks": broken, "refused": list(map(_refused_json, refused))}))
+        print(
+            json.dumps(
+                {**_json(status), "scenes": scenes, "errors": wrong, "broken_checks": broken, "refused": list(map(_refused_json, refused))}
+            )
+        )
         return
     _print(status, [*map(_refused_text, refused), *wrong, *broken], len(broken), len(refused), show_all)
 

@@ -59,7 +59,7 @@ def incomplete_copies(scans: Sequence[Scan], hashes: FileHashes) -> dict[str, Un
 
 
 def apart_from_lake(scans: Sequence[Scan], reader: Reader) -> list[Scan]:
-    """Scans, those with digits in their ids whose ids the lake has in other upper and lower case: some file systems do not tell them apart."""
+    """Scans with digits in the ids that the lake has in other upper and lower case, which some file systems do not tell apart."""
     if not scans or not reader.files("scenes"):
         return list(scans)
     known = reader.matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist()

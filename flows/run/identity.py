@@ -69,7 +69,7 @@ def same_scenes(lake: Lake, scans: Mapping[str, Content], captures: Mapping[str,
         if scene not in names:
             # A copied folder has another name, and the files in it may still have the scan's.
             same = next((first[part] for part in scans[scene] if part in first), scene)
-            first |= {part: same for part in scans[scene]}
+            first |= dict.fromkeys(scans[scene], same)
     for scene in strangers.keys() - names.keys():
         names[scene] = first[strangers[scene].nameless]
     return {scene: same for scene, same in sorted(names.items()) if same != scene}

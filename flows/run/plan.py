@@ -8,8 +8,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Literal
 
 from flows.run.configuration import Configuration
-from flows.run.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint
 from flows.run.copies import apart_from_lake, incomplete_copies
+from flows.run.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint
 from flows.run.identity import Content, content_of, recorded_content, same_scenes, scan_as
 from flows.run.libraries import library_input
 from schemas.errors import InputError

@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from flows.run.copies import incomplete_copies
 from flows.run.fingerprints import RACY_SECONDS, FileHashes, digest
 from flows.run.identity import Content, content_of, recorded_content, same_scenes
 from flows.scans.choice import DAY_SECONDS, ScanSource, scan_source
@@ -185,14 +186,15 @@ class _Watcher:
 
     def look(self, format: str, dataset: str | None) -> list[Arrival]:
         """Everything that lies there, by scene id."""
-        listings, wrong = self._source.listing(format, dataset)
-        errors = [error for error in wrong if not isinstance(error, PassedOver)]
-        self.passed_over = [error for error in wrong if isinstance(error, PassedOver)]
+        listings, errors = self._source.listing(format, dataset)
+        self.passed_over = [error for error in errors if isinstance(error, PassedOver)]
         for scene, listing in listings.items():
             self._recall(scene, listing.mark)
         copying = {scene: name for scene, listing in listings.items() if (name := _temporary(listing))}
         settled = [scene for scene in listings if scene not in copying and self._age(scene) >= self._settle]
         failures = self._open([listings[scene] for scene in settled if not {"content", "nameless"} <= self._after[_key(scene)].keys()])
+        here = [listings[scene].scan for scene in settled if scene not in failures and isinstance(listings[scene].scan.path, Path)]
+        failures |= {scene: error.problem for scene, error in incomplete_copies(here, self._hashes).items()}
         lacking = _lacking(listings.values())
         captures, same = self._known(set(listings), [scene for scene in settled if scene not in failures])
         arrivals = []
@@ -209,7 +211,7 @@ class _Watcher:
                 if scene in same and arrival.state in _WANTED:
                     arrival = _known_as(arrival, same[scene], captures.get(same[scene]))
             arrivals.append(self._timed(arrival))
-        return arrivals + [self._timed(self._unusable(error)) for error in errors]
+        return arrivals + [self._timed(self._unusable(error)) for error in errors if error not in self.passed_over]
 
     def _known(self, scenes: set[str], settled: Sequence[str]) -> tuple[dict[str, StageState], dict[str, str]]:
         """States of the capture by scene, and the scans that are scenes of another name, of those that have settled."""
@@ -394,5 +396,5 @@ def watch_report(latest: Look, asked: Iterable[Arrival] = (), run: str = "", fai
     return WatchReport(tuple(named("new")), tuple(named("changed")), named("waiting"), named("failed before"), len(named("known")),
                        overdue, tuple(arrival.scan for arrival in asked), run, tuple(failures),
                        {arrival.scan: arrival.left_out for arrival in latest.arrivals if arrival.left_out}
-                       | {error.file: f"{error.problem}; {error.remedy}" if error.remedy else error.problem for error in latest.passed_over},
+                       | {error.file: f"{error.problem}; {error.remedy}".removesuffix("; ") for error in latest.passed_over},
                        {arrival.scan: arrival.same_as for arrival in latest.arrivals if arrival.same_as})  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 from schemas.errors import InputError
 from schemas.families.scan_formats import SCAN_FORMATS
 from tasks.capture.premises import stores
-from tasks.capture.scan import UnusableScan, Scan, ScanFormat, license_path
+from tasks.capture.scan import Scan, ScanFormat, UnusableScan, license_path
 from tasks.capture.scene_ids import place_below, with_distinct_ids
 from tasks.capture.search import Search, search, unreadable
 from tasks.families import member, members

@@ -12,7 +12,7 @@ from schemas.wording import counted
 from tasks.capture.layout import folders_in
 from tasks.capture.likeness import IMAGES, convertible, is_junk, is_material, likeness, telling_format, visible
 from tasks.capture.products import is_product, product_of
-from tasks.capture.scan import PassedOver, UnusableScan, Scan, ScanFormat, files_named, leaving, matches
+from tasks.capture.scan import PassedOver, Scan, ScanFormat, UnusableScan, files_named, leaving, matches
 
 MAX_DEPTH = 2
 """Folders in folders that are searched for scans; collections have none deeper."""

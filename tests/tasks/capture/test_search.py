@@ -231,9 +231,8 @@ def test_a_demo_folder_is_its_scans_and_one_line(tmp_path: Path) -> None:
     (scan,), (error,) = find_scans(tmp_path / "demo")
     assert scan.scene_id == "scannet/scene0001_00"
     assert isinstance(error, PassedOver)
-    assert str(error) == (
-        "demo: glb (export), habitat (export), lake (lake), mjcf (export), release (release), usd (export): written by metascenes, not scans"
-    )
+    names = "glb (export), habitat (export), lake (lake), mjcf (export), release (release), usd (export)"
+    assert str(error) == f"demo: {names}: written by metascenes, not scans"
 
 
 @pytest.mark.parametrize(("make", "kind"), [(own_lake, "a lake"), (own_export, "an export")])
