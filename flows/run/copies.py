@@ -62,7 +62,7 @@ def apart_from_lake(scans: Sequence[Scan], reader: Reader) -> list[Scan]:
     """Scans with digits in the ids that the lake has in other upper and lower case, which some file systems do not tell apart."""
     if not scans or not reader.files("scenes"):
         return list(scans)
-    known = reader.matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist()
+    known = set(reader.matching("scenes", {}, ["scene_id"]).column("scene_id").to_pylist())
     taken = {scene.casefold(): scene for scene in known}
     apart = []
     for scan in scans:

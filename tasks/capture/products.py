@@ -17,10 +17,21 @@ _MESHES = re.compile(
     r"|(.+_[0-9a-f]{8}|room_[a-z]+(_\d+)?)_(part|hull)_\d{2,}\.(obj|glb|ply)"  # bodies of MJCF, URDF and SDF
 )
 
+_EXPORTS = (
+    {"metascenes.scene_dataset_config.json"},
+    {"scene.usda", "room", "assets"},
+    {"room.urdf", "poses.json"},
+    {"map.pgm", "map.yaml", "objects.json"},
+)
+"""Names in exported scenes, which a copy has without the mark of the folder that they lay in."""
+
+_MODELS = {"scene.xml", "world.sdf"}
+"""Files of exported scenes that models by others have, too: the meshes next to them decide."""
+
 _HEAD_BYTES = 65_536
 """The mark stands within the first lines of a GLB and of a layer; the rest may be gigabytes."""
 
-_MARKS = (b'"generator":"metascenes"', b"dictionary metascenes")
+_MARKS = re.compile(rb'"generator"\s*:\s*"metascenes"|dictionary metascenes\b')
 """Text in every GLB scene and in the first layer of every USD package."""
 
 
@@ -35,8 +46,12 @@ def product_of(folder: Path) -> str:
         return "a lake"
     if {"release.json", "SHA256SUMS"} <= names:
         return "a release"
-    if EXPORT_MARK in names or "metascenes.scene_dataset_config.json" in names:
+    if EXPORT_MARK in names or any(own <= names for own in _EXPORTS):
         return "an export"
+    for parts in (folder / "assets", folder / "meshes") if names & _MODELS else ():
+        meshes = [path.name for path in parts.iterdir() if path.suffix == ".obj"] if parts.is_dir() else []
+        if meshes and all(map(_MESHES.fullmatch, meshes)):
+            return "an export"
     return ""
 
 
@@ -51,4 +66,4 @@ def is_product(path: Path) -> bool:
             head = file.read(_HEAD_BYTES)
     except (OSError, InputError):  # its reader says so
         return False
-    return any(mark in head for mark in _MARKS)
+    return _MARKS.search(head) is not None

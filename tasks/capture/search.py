@@ -26,6 +26,9 @@ MAX_NAMES_BELOW = 20_000
 MAX_NAMED = 3
 """Files that a line names; it counts the others."""
 
+MAX_FOLDERS_NAMED = 12
+"""Folders that a line names: a demo has eight next to its scans."""
+
 _FRAME_ENDINGS = frozenset((*IMAGES, ".txt", ".json", ".depth", ".conf", ".pgm", ".ppm", ".pincam", ".csv", ".ply", ".obj", ".mtl", ".bin"))
 """Endings of files that stand in folders by the thousand, and that folders do not have: these are not asked whether they are one."""
 
@@ -182,8 +185,9 @@ def _below(folder: Path, wanted: Search, depth: int, has_scans: bool) -> Found:
         scans += more
         errors += [error for error in wrong if str(error) not in map(str, errors)]
     if written:
-        kinds = ", ".join(f"{name} ({kind.partition(' ')[2]})" for name, kind in written.items())
-        errors.append(_written_line(folder, kinds))
+        kinds = [f"{name} ({kind.partition(' ')[2]})" for name, kind in written.items()]
+        more = f" and {counted(len(kinds) - MAX_FOLDERS_NAMED, 'more folder')}" if len(kinds) > MAX_FOLDERS_NAMED else ""
+        errors.append(_written_line(folder, ", ".join(kinds[:MAX_FOLDERS_NAMED]) + more))
     return scans, errors
 
 

@@ -235,6 +235,33 @@ def test_a_demo_folder_is_its_scans_and_one_line(tmp_path: Path) -> None:
     assert str(error) == f"demo: {names}: written by metascenes, not scans"
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["scene.usda", "room/room.usda", "assets/a/a.usda"],
+        ["room.urdf", "poses.json", "meshes/bed_1a2b3c4d_part_00.obj"],
+        ["scene.xml", "assets/room_wall_01_part_00.obj"],
+        ["world.sdf", "meshes/room_wall_01_hull_00.obj"],
+        ["map.pgm", "map.yaml", "objects.json"],
+        ["metascenes.scene_dataset_config.json", "stages/a.glb"],
+    ],
+)
+def test_exported_scenes_are_known_without_the_mark_of_their_folder(names: list[str], tmp_path: Path) -> None:
+    put(tmp_path / "scans" / "attic.ply", PLY)
+    put(tmp_path / "scans" / "bath.ply", PLY)
+    for name in names:
+        put(tmp_path / "scans" / "mesh_attic" / name)
+    scans, errors = find_scans(tmp_path / "scans")
+    assert len(scans) == 2
+    assert [str(error) for error in errors] == ["scans: mesh_attic (export): written by metascenes, not scans"]
+
+
+def test_a_robot_model_by_others_is_no_export(tmp_path: Path) -> None:
+    for name in ("scene.xml", "assets/base_link.obj", "assets/wheel.obj"):
+        put(tmp_path / "scans" / "robot" / name)
+    assert [scan.scan for scan in find_scans(tmp_path / "scans")[0]] == ["base_link", "wheel"]
+
+
 @pytest.mark.parametrize(("make", "kind"), [(own_lake, "a lake"), (own_export, "an export")])
 def test_an_own_folder_that_is_named_is_refused(make: Callable[[Path], None], kind: str, tmp_path: Path) -> None:
     make(tmp_path / "place")
