@@ -123,7 +123,7 @@ def _of_folder(folder: Path, wanted: Search, depth: int) -> Found:
     withheld = [path for path in meshes if incomplete is not None and getattr(wanted.format_of(path), "is_last_resort", False)]
     meshes = [path for path in meshes if path not in withheld]
     below, errors = _below(folder, wanted, depth, bool(meshes or parts))
-    alone = meshes[0] if len(meshes) == 1 and not parts and not below and not withheld else None
+    alone = meshes[0] if len(meshes) == 1 and not parts and not below and not withheld and not written else None
     is_folder_of_one = alone is not None and not any(isinstance(error, UnusableScan) and not _is_of_no_scan(error) for error in errors)
     if is_folder_of_one and alone is not None:
         own = wanted.format_of(alone)
@@ -183,7 +183,7 @@ def _below(folder: Path, wanted: Search, depth: int, has_scans: bool) -> Found:
             continue
         more, wrong = search(child, wanted, depth + 1)
         scans += more
-        errors += [error for error in wrong if str(error) not in map(str, errors)]
+        errors += wrong
     if written:
         kinds = [f"{name} ({kind.partition(' ')[2]})" for name, kind in written.items()]
         more = f" and {counted(len(kinds) - MAX_FOLDERS_NAMED, 'more folder')}" if len(kinds) > MAX_FOLDERS_NAMED else ""
@@ -272,9 +272,8 @@ def _too_deep(folder: Path, wanted: Search) -> list[InputError]:
 def _same_names(scans: Iterable[Scan]) -> list[InputError]:
     """A line for files of one name in one folder: an app may have exported one scan in several formats."""
     files: dict[tuple[Path, str], list[Path]] = {}
-    for scan in scans:
-        if not scan.path.is_dir():
-            files.setdefault((scan.path.parent, scan.path.stem), []).append(scan.path)
+    for path in sorted({scan.path for scan in scans if not scan.path.is_dir()}):
+        files.setdefault((path.parent, path.stem), []).append(path)
     return [
         PassedOver(_listed(paths, folder), "", "have one name, and each is a scene", "if they show the same scan, keep one of them")
         for (folder, _), paths in files.items()

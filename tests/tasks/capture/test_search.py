@@ -281,7 +281,8 @@ def test_own_files_are_known_by_their_marks_and_names(tmp_path: Path) -> None:
     with zipfile.ZipFile(place / "room.usdz", "w") as archive:
         archive.writestr("scene.usda", "#usda 1.0\n(\n customLayerData = {\n dictionary metascenes = {\n")
     scans, errors = find_scans(place)
-    assert [scan.scene_id for scan in scans] == ["glb/scans"]
+    assert [scan.scene_id for scan in scans] == ["glb/attic"]
+    assert scan_files(scans[0]) == [(place / "attic.glb").resolve()]
     assert [type(error) for error in errors] == [PassedOver, PassedOver]
     assert sorted(str(error) for error in errors) == [
         "parts: bed_1a2b3c4d_hull_01.obj, room_floor_part_00.obj: written by metascenes, not scans",
@@ -315,6 +316,17 @@ def test_a_copied_folder_has_an_id_of_its_own(tmp_path: Path) -> None:
     assert scans[0].scene_id == "scannet/scene0001_00"
     assert scans[0].path.name == "scene0001_00"
     assert scans[1].scene_id.startswith("scannet/scene0001_00-")
+
+
+def test_two_folders_of_one_name_are_two_errors(tmp_path: Path) -> None:
+    scannet(tmp_path / "scene0001_00")
+    for name in ("a", "b"):
+        put(tmp_path / name / "half" / ".keep")
+        scannet(tmp_path / name / f"scene000{'ab'.index(name) + 2}_00")
+    scans, errors = find_scans(tmp_path)
+    assert len(scans) == 3
+    assert [str(error).partition(";")[0] for error in errors] == ["half: folder: is empty"] * 2
+    assert len({error.path for error in errors if isinstance(error, UnusableScan)}) == 2
 
 
 def test_errors_are_input_errors_of_one_line(tmp_path: Path) -> None:
