@@ -122,7 +122,7 @@ def _of_folder(folder: Path, wanted: Search, depth: int) -> Found:
     incomplete = telling_format(folder, wanted.wanted) if len(wanted.wanted) > 1 else None
     withheld = [path for path in meshes if incomplete is not None and getattr(wanted.format_of(path), "is_last_resort", False)]
     meshes = [path for path in meshes if path not in withheld]
-    below, errors = _below(folder, wanted, depth, bool(meshes or parts))
+    below, errors = _below(folder, wanted, depth, [*meshes, *parts])
     alone = meshes[0] if len(meshes) == 1 and not parts and not below and not withheld and not written else None
     is_folder_of_one = alone is not None and not any(isinstance(error, UnusableScan) and not _is_of_no_scan(error) for error in errors)
     if is_folder_of_one and alone is not None:
@@ -161,8 +161,8 @@ def _in_short(folder: Path, wanted: Search, depth: int, scans: list[Scan], error
     return [], errors
 
 
-def _below(folder: Path, wanted: Search, depth: int, has_scans: bool) -> Found:
-    """Scans in the folders of a folder. Folders of textures belong to the meshes next to them."""
+def _below(folder: Path, wanted: Search, depth: int, files: Sequence[Path]) -> Found:
+    """Scans in the folders of a folder. `files` are scans that are known already: textures next to them are theirs."""
     scans: list[Scan] = []
     errors: list[InputError] = []
     written: dict[str, str] = {}
@@ -170,13 +170,13 @@ def _below(folder: Path, wanted: Search, depth: int, has_scans: bool) -> Found:
         if is_junk(child.name):
             continue
         if depth >= MAX_DEPTH:
-            errors += _too_deep(child, wanted)
+            errors += [] if any(path.is_relative_to(child) for path in files) else _too_deep(child, wanted)
             continue
         try:
             if product := product_of(child) if wanted.admits(child) else "":
                 written[child.name] = product
                 continue
-            if has_scans and is_material(child):
+            if files and is_material(child):
                 continue
         except OSError as error:
             errors.append(unreadable(child, error))
