@@ -35,11 +35,11 @@ from flows.run.outcome import MAX_NOTES
 from flows.run.parameters import Address, StageTables
 from flows.run.patience import patiently
 from flows.run.plan import Plan, ScenePlan, make_plan, planned_again
-from flows.run.refusals import keep_refusals
 from flows.run.report import RunReport, broken_checks, keep, report_of
 from flows.run.rescans import with_rescans
 from flows.run.scene import STAGE_SECONDS, SceneResult, settle
 from flows.scans.choice import found_scans, settled
+from flows.scans.refusals import keep_refusals
 from flows.server.artifacts import Board, committed, flow_run_name, run_log, task_run_name
 from flows.server.notifications import AS_BEFORE
 from schemas.runs import StageRun

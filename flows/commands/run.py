@@ -112,9 +112,9 @@ def carry_out(plan: Plan, store: Lake, configuration: Configuration, **parameter
     from flows.run.report import broken_checks, report_of
 
     if not plan.todo:
-        from flows.run.refusals import keep_refusals
         from flows.run.rescans import with_rescans
         from flows.run.scene import settle
+        from flows.scans.refusals import keep_refusals
 
         settle(store, plan)  # what an interrupted run had finished and not yet committed
         is_whole = not any(parameters.get(name) for name in ("scenes", "first", "last", "since", "until"))

@@ -72,9 +72,9 @@ def _asked(
 ) -> tuple[Status, dict[str, dict[str, str]], list[str], list[str], list[RefusedScan]]:
     """How the lake stands, what it says of every stage, the errors, the checks that exports did not pass, and the refused scans."""
     from flows.run.plan import annotation_digests
-    from flows.run.refusals import refused_scans
     from flows.run.report import broken_checks
     from flows.run.status import errors, expected, recorded_states, status_of
+    from flows.scans.refusals import refused_scans
 
     claims, runs = lake.claimed(), lake.live_runs()  # first: what is given back later is in the history
     outline = lake.outline()
@@ -90,7 +90,7 @@ def _refused_json(row: RefusedScan) -> dict[str, Any]:
 
 
 def _refused_text(row: RefusedScan) -> str:
-    from flows.run.refusals import refusal_line
+    from flows.scans.refusals import refusal_line
 
     looks = f", looks like {row.format}" if row.format else ""
     return f"refused since {row.first_seen_at:%Y-%m-%d}: {refusal_line(row)} (in {row.scans}{looks})"

@@ -8,10 +8,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Literal
 
 from flows.run.configuration import Configuration
-from flows.run.copies import apart_from_lake, incomplete_copies
 from flows.run.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint
 from flows.run.identity import Content, content_of, recorded_content, same_scenes, scan_as
 from flows.run.libraries import library_input
+from flows.scans.copies import apart_from_lake, incomplete_copies
 from schemas.errors import InputError
 from schemas.runs import StageRun
 from tasks.capture.formats import survey

@@ -12,10 +12,10 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from flows.run.copies import incomplete_copies
 from flows.run.fingerprints import RACY_SECONDS, FileHashes, digest
 from flows.run.identity import Content, content_of, recorded_content, same_scenes
 from flows.scans.choice import DAY_SECONDS, ScanSource, scan_source
+from flows.scans.copies import incomplete_copies
 from flows.scans.listing import ScanListing, files_of
 from schemas.errors import InputError
 from schemas.wording import counted

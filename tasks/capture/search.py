@@ -186,8 +186,8 @@ def _below(folder: Path, wanted: Search, depth: int, files: Sequence[Path]) -> F
         errors += wrong
     if written:
         kinds = [f"{name} ({kind.partition(' ')[2]})" for name, kind in written.items()]
-        more = f" and {counted(len(kinds) - MAX_FOLDERS_NAMED, 'more folder')}" if len(kinds) > MAX_FOLDERS_NAMED else ""
-        errors.append(_written_line(folder, ", ".join(kinds[:MAX_FOLDERS_NAMED]) + more))
+        ending = f" and {counted(len(kinds) - MAX_FOLDERS_NAMED, 'more folder')}" if len(kinds) > MAX_FOLDERS_NAMED else ""
+        errors.append(_written_line(folder, ", ".join(kinds[:MAX_FOLDERS_NAMED]) + ending))
     return scans, errors
 
 

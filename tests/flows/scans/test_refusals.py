@@ -15,14 +15,14 @@ from flows.pipeline import state_of
 from flows.run.configuration import configure
 from flows.run.fingerprints import FileHashes
 from flows.run.plan import Plan, make_plan
-from flows.run.refusals import keep_refusals, refused_scans
 from flows.run.report import RunReport, report_of
 from flows.scans.choice import found_scans
 from flows.scans.mirror import FetchError
+from flows.scans.refusals import keep_refusals, refused_scans
 from flows.server.notifications import AS_BEFORE
 from schemas.runs import RefusedScan
 from tests.samples import sample, stage_run
-from tests.tasks.capture.test_search import PLY, put
+from tests.tasks.capture.formats.test_search import PLY, put
 from warehouse.lake import Lake
 from warehouse.upkeep.erasure import erase
 from warehouse.upkeep.inspection import inspect

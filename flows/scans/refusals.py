@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from flows.run.plan import Plan
 from schemas.errors import InputError
 from schemas.runs import RefusedScan
 from tasks.capture.scan import Scan, UnusableScan
 from warehouse.lake import Lake
+
+if TYPE_CHECKING:
+    from flows.run.plan import Plan
 
 
 def keep_refusals(
