@@ -16,7 +16,7 @@ from tests.flows.server.test_deployments import hook as hook
 from tests.flows.server.test_deployments import prefect as prefect
 from warehouse.lake import Lake
 
-pytestmark = [pytest.mark.whole, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.slow, pytest.mark.whole, pytest.mark.timeout(1800)]
 
 NIGHT = """
 import sys
