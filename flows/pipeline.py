@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import BrokenExecutor
 from datetime import UTC, datetime
 from pathlib import Path
@@ -39,9 +39,12 @@ from flows.run.report import RunReport, broken_checks, keep, report_of
 from flows.run.rescans import with_rescans
 from flows.run.scene import STAGE_SECONDS, SceneResult, settle
 from flows.scans.choice import found_scans, settled
+from flows.scans.refusals import keep_refusals
 from flows.server.artifacts import Board, committed, flow_run_name, run_log, task_run_name
+from flows.server.notifications import AS_BEFORE
 from schemas.runs import StageRun
 from schemas.wording import counted
+from tasks.capture.scan import Scan
 from warehouse.lake import Lake
 
 # Prefect prints a traceback for every line that its server does not take; the board says once that it is away.
@@ -214,7 +217,8 @@ def replicate(
 ) -> Any:
     """Replica scenes of the scans at an address, into a lake. Scenes are independent: one that fails stops no other.
 
-    The run fails when a scene failed that had not failed before on the same input. Its result is a `flows.run.report.RunReport`.
+    The run fails if a scan was refused, or a scene failed that had not failed before on the same input. Its result is a
+    `flows.run.report.RunReport`.
 
     Args:
         scans: Folder of scans, one scan, or s3://bucket/prefix.
@@ -268,8 +272,10 @@ def replicate(
         scan_list, unusable = found_scans(
             scans, format, dataset, scenes=scenes, first=first, last=last, since=since, until=until, links_into=links_into
         )
+        waiting: list[Scan] = []
         if settle_seconds > 0:
             scan_list, arriving = settled(scan_list, settle_seconds, by_change="://" not in scans)
+            waiting = arriving
             for scan in arriving:
                 run_log(f"{scan.scene_id}: changed less than {settle_seconds:g} s ago, or is being copied; left to a later run")
         plan = make_plan(store, scan_list, unusable, configuration, retry_failed, again=again)
@@ -279,8 +285,10 @@ def replicate(
         def replan(scene: ScenePlan, retry: bool) -> ScenePlan | None:
             return planned_again(store, scene, configuration, retry)
 
+        is_whole = not (scenes or first or last or since or until)
+        refused_before = keep_refusals(store, scans, plan, began, is_whole=is_whole, waiting=waiting)
         coordinator = Coordinator(plan, store, configuration, fan_out, replan, retry_failed=retry_failed)
-        report = _carry_out(plan, store, coordinator, scans, dataset, fan_out, began)
+        report = _carry_out(plan, store, coordinator, scans, dataset, fan_out, began, refused_before)
         return with_rescans(report, store, plan, configuration, fan_out.workers, retry_failed)
 
     report = patiently(once)
@@ -289,25 +297,37 @@ def replicate(
 
 
 def state_of(report: RunReport) -> State[Any]:
-    """How a run ends in Prefect: failed where a scene failed anew, or was not begun."""
-    anew = [line for line in report.failures if line not in report.known]
+    """How a run ends in Prefect: failed if a scene failed again, a scan was refused, or a scene was not begun."""
+    anew = [line for line in report.failures if line not in report.known and line not in report.refused]
+    refused = sorted(report.refused, key=lambda line: line in report.known)  # news first
     parts = [f"{counted(len(report.done), 'scene')} done", f"{len(report.unchanged) + len(report.shared)} up to date"]
     if report.same:
         parts.append(f"{counted(len(report.same), 'scan')} known under another name")
-    if report.known:
-        parts.append(f"{len(report.known)} failed before")
+    failed_before = [line for line in report.known if line not in report.refused]
+    if failed_before:
+        parts.append(f"{len(failed_before)} failed before")
+    if refused:
+        parts.append(f"{counted(len(refused), 'scan')} refused: {refused[0]}" + (" and others" if len(refused) > 1 else ""))
     if anew:
         parts.append(f"{len(anew)} failed: {anew[0]}" + (" and others" if len(anew) > 1 else ""))
     if report.postponed:
         parts.append(f"{len(report.postponed)} postponed: {report.stopped}")
     elif report.stopped:
         parts.append(report.stopped)
-    message = ", ".join(parts)
-    return Failed(message=message, data=report) if anew or report.stopped else Completed(message=message, data=report)
+    is_news = bool(anew or report.stopped or set(report.refused) - set(report.known))
+    message = ("" if is_news or not refused else AS_BEFORE) + ", ".join(parts)
+    return Failed(message=message, data=report) if is_news or refused else Completed(message=message, data=report)
 
 
 def _carry_out(
-    plan: Plan, lake: Lake, coordinator: Coordinator, scans: str, dataset: str | None, fan_out: FanOut, began: datetime
+    plan: Plan,
+    lake: Lake,
+    coordinator: Coordinator,
+    scans: str,
+    dataset: str | None,
+    fan_out: FanOut,
+    began: datetime,
+    refused_before: Collection[str],
 ) -> RunReport:
     """Compute what a plan says, commit it in batches, and leave no staged or temporary file behind."""
     keep = {(s.scan.scene_id, step.stage, step.fingerprint.value) for s in plan.scenes for step in s.steps}
@@ -319,7 +339,8 @@ def _carry_out(
             with _workers(coordinator.run_id, fan_out) as tasks:
                 outcome = coordinator.run(tasks, board.advance, {"scans": scans})
         settle(lake, plan)
-        report = report_of(plan, outcome, began, broken_checks(lake, {scene.scan.scene_id for scene in plan.scenes}))
+        broken = broken_checks(lake, {scene.scan.scene_id for scene in plan.scenes})
+        report = report_of(plan, outcome, began, broken, refused_before)
         for line in (*report.retried, *report.failures):
             run_log(line, warning=True)
         if report.done:

@@ -1,4 +1,4 @@
-"""Rows that the lake keeps about itself: executions of stages, snapshots, and releases."""
+"""Rows that the lake keeps about itself: executions of stages, refused scans, snapshots, and releases."""
 
 from __future__ import annotations
 
@@ -30,6 +30,19 @@ class StageRun:
     host: str = column("Host and process that ran it", volatile=True)
     peak_memory_mb: float = column("Peak resident memory of the worker", unit="MB", minimum=0, volatile=True)
     snapshot_id: int = column("Snapshot that it was committed in", minimum=0, volatile=True)
+
+
+@record("refused_scans", key=("scans", "path"), stage="", grain="lake")
+class RefusedScan:
+    """A scan that the last run over its folder could not use. A run over the repaired scan removes the row."""
+
+    scans: str = column("Folder of scans, absolute, or address in a store")
+    path: str = column("The scan's folder or file, as a path from the folder of scans")
+    format: str | None = column("Scan format that it seems to have; missing if it looks like none")
+    field: str = column("Wrong part: folder, file, name, a field of a file, ...")
+    reason: str = column("Problem and remedy, in a line")
+    first_seen_at: datetime = column("Start of the first run that refused it for this reason", volatile=True)
+    last_seen_at: datetime = column("Start of the last run that refused it", volatile=True)
 
 
 @record("snapshots", key=("snapshot_id",), stage="", rule="append", grain="lake")

@@ -79,6 +79,7 @@ RECORDS: tuple[type, ...] = (
     comparison.PairedTest,
     calls.ModelCall,
     runs.StageRun,
+    runs.RefusedScan,
     runs.Snapshot,
     runs.Release,
 )

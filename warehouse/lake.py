@@ -19,7 +19,7 @@ from typing import Any
 from schemas.calls import ModelCall
 from schemas.errors import InputError, RecordError
 from schemas.parsing import json_value
-from schemas.runs import Snapshot, StageRun
+from schemas.runs import RefusedScan, Snapshot, StageRun
 from schemas.tables import TABLES
 from warehouse.sharing.claims import Claim, Claims, claims_of, sweep_claims
 from warehouse.sharing.lease import Lease
@@ -143,6 +143,17 @@ class Lake:
             LeaseError: another committer holds the lease for more than `timeout` seconds.
         """
         return self._commit(note, (), scenes, timeout, runs)
+
+    def refuse_scans(self, scans: str, rows: Sequence[RefusedScan], note: str = "", *, timeout: float = 300.0) -> Snapshot:
+        """Keep these rows of `refused_scans`, and no others, of the folder of scans `scans`.
+
+        Raises:
+            RecordError: a row breaks its schema.
+            LeaseError: another committer holds the lease for more than `timeout` seconds.
+        """
+        self._prepare()
+        with self.leased(timeout) as lease:
+            return Commit(self.tables, self.staging, lease, self.calls).refuse(scans, rows, note)
 
     def remove_scene(self, scene_id: str, *, timeout: float = 300.0) -> Snapshot | None:
         """Withdraw everything that was computed of a scene; None when there is nothing. Annotations stay: people made them."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -113,9 +114,13 @@ def carry_out(plan: Plan, store: Lake, configuration: Configuration, **parameter
     if not plan.todo:
         from flows.run.rescans import with_rescans
         from flows.run.scene import settle
+        from flows.scans.refusals import keep_refusals
 
         settle(store, plan)  # what an interrupted run had finished and not yet committed
-        unchanged = report_of(plan, broken=broken_checks(store, {scene.scan.scene_id for scene in plan.scenes}))
+        is_whole = not any(parameters.get(name) for name in ("scenes", "first", "last", "since", "until"))
+        refused = keep_refusals(store, str(parameters["scans"]), plan, datetime.now(UTC), is_whole=is_whole)
+        broken = broken_checks(store, {scene.scan.scene_id for scene in plan.scenes})
+        unchanged = report_of(plan, broken=broken, refused_before=refused)
         return with_rescans(unchanged, store, plan, configuration, parameters.get("workers") or 1, bool(parameters.get("retry_failed")))
     from flows.progress import Progress
     from flows.run.report import RunReport, kept
@@ -154,7 +159,7 @@ def tell(report: RunReport) -> None:
     for line in _same(report.same):
         print(f"note: {line}", file=sys.stderr)
     for line in report.failures:
-        print(f"failed: {line}", file=sys.stderr)
+        print(f"{'refused' if line in report.refused else 'failed'}: {line}", file=sys.stderr)
     if report.postponed:
         print(
             (
@@ -172,8 +177,10 @@ def report_line(report: RunReport) -> str:
     if not (report.done or report.failed or report.failures or report.shared or report.postponed or report.rescans):
         return f"nothing to do: {counted(len(report.unchanged), 'scene is', 'scenes are')} up to date{_other_names(report.same)}"
     parts = [f"{counted(len(report.done), 'scene')} done"]
-    if failed := len(report.failures) - len(report.broken):
+    if failed := len(report.failures) - len(report.broken) - len(report.refused):
         parts.append(f"{failed} failed")
+    if report.refused:
+        parts.append(f"{counted(len(report.refused), 'scan')} refused")
     if report.broken:
         parts.append(f"{counted(len(report.broken), 'check')} of exports failed")
     parts.append(f"{len(report.unchanged)} unchanged")

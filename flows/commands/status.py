@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from flows.run.configuration import Configuration
     from flows.run.status import SceneStatus, Status
+    from schemas.runs import RefusedScan
     from warehouse.lake import Lake
 
 SHOWN = 20
@@ -41,7 +42,7 @@ def command(address: str, config_file: Path | None, settings: tuple[str, ...], s
     Without a run at work the time left is that of one worker. With --json: counts (scenes by state), seconds_left,
     running (scene_id, stage, host, since), todo (by scene and stage: action, why), runs (those at work, with left and
     seconds_left), scenes (outcome by scene and stage), same (scenes that were made of one scan, under several names), errors,
-    broken_checks.
+    broken_checks, refused (scans that the last run over their folder could not use).
 
     Example: metascenes status --lake ./lake
     """
@@ -53,28 +54,46 @@ def command(address: str, config_file: Path | None, settings: tuple[str, ...], s
         configuration = configure(config_file, settings, seed=seed)
     gc.disable()  # of 100,000 small Python objects, none of which is garbage, it would look at all again and again
     try:
-        status, scenes, wrong, broken = _asked(lake, configuration, bool(config_file or settings), seed is not None)
+        status, scenes, wrong, broken, refused = _asked(lake, configuration, bool(config_file or settings), seed is not None)
     finally:
         gc.enable()
     if as_json:
-        print(json.dumps({**_json(status), "scenes": scenes, "errors": wrong, "broken_checks": broken}))
+        print(
+            json.dumps(
+                {**_json(status), "scenes": scenes, "errors": wrong, "broken_checks": broken, "refused": list(map(_refused_json, refused))}
+            )
+        )
         return
-    _print(status, wrong, broken, show_all)
+    _print(status, [*map(_refused_text, refused), *wrong, *broken], len(broken), len(refused), show_all)
 
 
 def _asked(
     lake: Lake, configuration: Configuration | None, configs: bool, seed: bool
-) -> tuple[Status, dict[str, dict[str, str]], list[str], list[str]]:
-    """How the lake stands, what it says of every stage, the errors, and the checks that exports did not pass."""
+) -> tuple[Status, dict[str, dict[str, str]], list[str], list[str], list[RefusedScan]]:
+    """How the lake stands, what it says of every stage, the errors, the checks that exports did not pass, and the refused scans."""
     from flows.run.plan import annotation_digests
     from flows.run.report import broken_checks
     from flows.run.status import errors, expected, recorded_states, status_of
+    from flows.scans.refusals import refused_scans
 
     claims, runs = lake.claimed(), lake.live_runs()  # first: what is given back later is in the history
     outline = lake.outline()
     brought = expected(annotation_digests(lake), configuration, configs=configs, seed=seed)
     broken = [line for lines in broken_checks(lake).values() for line in lines]
-    return status_of(outline, claims, runs, brought), recorded_states(outline.states), errors(outline.states), broken
+    status = status_of(outline, claims, runs, brought)
+    return status, recorded_states(outline.states), errors(outline.states), broken, refused_scans(lake)
+
+
+def _refused_json(row: RefusedScan) -> dict[str, Any]:
+    times = {"first_seen_at": row.first_seen_at.isoformat(), "last_seen_at": row.last_seen_at.isoformat()}
+    return dataclasses.asdict(row) | times
+
+
+def _refused_text(row: RefusedScan) -> str:
+    from flows.scans.refusals import refusal_line
+
+    looks = f", looks like {row.format}" if row.format else ""
+    return f"refused since {row.first_seen_at:%Y-%m-%d}: {refusal_line(row)} (in {row.scans}{looks})"
 
 
 def _json(status: Status) -> dict[str, Any]:
@@ -104,12 +123,12 @@ def _json(status: Status) -> dict[str, Any]:
     return answer | {"same": [list(scenes) for scenes in status.same]}
 
 
-def _print(status: Status, errors: Sequence[str], broken: Sequence[str], show_all: bool) -> None:
-    if not status.scenes and not status.runs:
+def _print(status: Status, wrong: Sequence[str], broken: int, refused: int, show_all: bool) -> None:
+    if not status.scenes and not status.runs and not refused:
         print("the lake is empty")
         return
-    print(status_line(status) + (f"; {counted(len(broken), 'check')} of exports failed" if broken else ""))
-    wrong = [*errors, *broken]
+    more = f"; {counted(refused, 'scan')} refused" if refused else ""
+    print(status_line(status) + (f"; {counted(broken, 'check')} of exports failed" if broken else "") + more)
     now = time.time()
     for item in status.runs:
         run = item.run

@@ -20,6 +20,7 @@ from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.lineage.licenses import OF_THE_SCAN
 from schemas.machine.scratch import temporary_folder
 from schemas.wording import meant
+from tasks.capture.products import EXPORT_MARK
 from warehouse.lake import Lake
 from warehouse.release import snapshot_of
 from warehouse.release.licenses import Allowed
@@ -284,7 +285,7 @@ def _finish(format_: ExportFormat, release: str | None, snapshot_id: int | None,
             (making / f"{scene.parent.name}{format_.suffix}").write_bytes(packed)
 
 
-MARK = ".exported"
+MARK = EXPORT_MARK
 """In the root of a written export: the folder is ours to replace."""
 
 

@@ -43,7 +43,7 @@ def content_of(scan: Scan, files: Iterable[Path], hashes: FileHashes) -> Content
         InputError: it is none that is read.
     """
     entries = hashes.entries(scan.folder, files)
-    nameless = sorted((_nameless(path, scan), value) for path, value in entries)
+    nameless = sorted((nameless_path(path, scan), value) for path, value in entries)
     return Content(*(digest(*(f"{path}={value}" for path, value in part)) for part in (entries, nameless)))
 
 
@@ -67,7 +67,9 @@ def same_scenes(lake: Lake, scans: Mapping[str, Content], captures: Mapping[str,
     first: dict[str, str] = {}
     for scene in sorted(scans, key=lambda key: (key in strangers, key)):
         if scene not in names:
-            first.setdefault(scans[scene].nameless, scene)
+            # A copied folder has another name, and the files in it may still have the scan's.
+            same = next((first[part] for part in scans[scene] if part in first), scene)
+            first |= dict.fromkeys(scans[scene], same)
     for scene in strangers.keys() - names.keys():
         names[scene] = first[strangers[scene].nameless]
     return {scene: same for scene, same in sorted(names.items()) if same != scene}
@@ -75,11 +77,11 @@ def same_scenes(lake: Lake, scans: Mapping[str, Content], captures: Mapping[str,
 
 def scan_as(scan: Scan, scene_id: str, dataset: str = "", name: str = "") -> Scan:
     """A scan under the name of a scene; `dataset` and `name` are as the scene's own row has them, where there is one."""
-    renamed = dataclasses.replace(scan, dataset=dataset, scan=name)
+    renamed = dataclasses.replace(scan, dataset=dataset, scan=name, word="")
     if renamed.scene_id == scene_id:
         return renamed
-    dataset, _, name = scene_id.partition("/")
-    return dataclasses.replace(scan, dataset=dataset, scan=name)
+    dataset, _, word = scene_id.partition("/")
+    return dataclasses.replace(scan, dataset=dataset, scan=name or word, word=word)
 
 
 def recorded_content(run: StageRun) -> str:
@@ -113,7 +115,7 @@ def _is_free(scene: str, content: Content, scans: Mapping[str, Content]) -> bool
     return scene not in scans or scans[scene].nameless == content.nameless
 
 
-def _nameless(path: str, scan: Scan) -> str:
+def nameless_path(path: str, scan: Scan) -> str:
     """A path of a scan's file with `*` for the scan's own name; a scan that is one file has whatever name that has."""
     for suffix in format_of(scan).suffixes:
         if path.lower().endswith(suffix):

@@ -11,10 +11,11 @@ from flows.run.configuration import Configuration
 from flows.run.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint
 from flows.run.identity import Content, content_of, recorded_content, same_scenes, scan_as
 from flows.run.libraries import library_input
+from flows.scans.copies import apart_from_lake, incomplete_copies
 from schemas.errors import InputError
 from schemas.runs import StageRun
 from tasks.capture.formats import survey
-from tasks.capture.scan import Scan
+from tasks.capture.scan import PassedOver, Scan, UnusableScan
 from tasks.pipeline import MODULES, SCENE_STAGES, upstream
 from tasks.stage import Stage
 from warehouse.lake import Lake
@@ -80,7 +81,7 @@ class ScenePlan:
 class Plan:
     """What a run would do: scenes with their steps, and scans that cannot be used at all. `snapshot_id` is what it was made from.
 
-    left_out: A line for each scan that has links out of the folder of scans.
+    left_out: A line for each scan that has links out of the folder of scans, and for files that are passed over.
     `same`: scans that are scenes of another name, whose steps are theirs (see `flows.run.identity`); scene by the scan's own name.
     """
 
@@ -118,22 +119,35 @@ def make_plan(
     which scans are, as `Plan.same`, where that is decided already.
     """
     hashes = hashes or FileHashes()
-    snapshot_id = lake.snapshot().snapshot_id  # before the history is read: what is committed meanwhile counts as news
+    reader = lake.snapshot()
+    snapshot_id = reader.snapshot_id  # before the history is read: what is committed meanwhile counts as news
     stage_facts = {
         stage.name: (canonical_json(configuration.stages[stage.name]), code_fingerprint(MODULES[stage.name])) for stage in SCENE_STAGES
     }
     library = library_input(lake, configuration.library, hashes)
+    scans = apart_from_lake(scans, reader) if same is None else scans
     history = lake.history({scan.scene_id for scan in scans})
-    looked, errors, notes = [], list(unusable), []
+    errors: list[InputError] = []
+    notes: list[str] = []
+    for error in unusable:
+        if isinstance(error, PassedOver):
+            notes.append(str(error))
+        else:
+            errors.append(error)
+    looked: list[tuple[Scan, Content]] = []
     for scan in scans:
         try:
             files, note = survey(scan)
             looked.append((scan, content_of(scan, files, hashes)))
             notes += [f"{scan.scene_id}: {note}"] if note else []
         except OSError as error:
-            errors.append(InputError(scan.path.name, "files", str(error), "check that they can be read"))
+            unread = InputError(scan.path.name, "files", str(error), "check that they can be read")
+            errors.append(UnusableScan(unread, scan.path, scan.format))
         except InputError as error:
-            errors.append(error)
+            errors.append(UnusableScan(error, scan.path, scan.format))
+    incomplete = incomplete_copies([scan for scan, _ in looked], hashes)
+    looked = [(scan, content) for scan, content in looked if scan.scene_id not in incomplete]
+    errors += incomplete.values()
     hashes.save()
     if same is None and not again:
         captures = {scan.scene_id: history.get((scan.scene_id, CAPTURE)) for scan, _ in looked}

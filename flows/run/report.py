@@ -22,7 +22,7 @@ class RunReport:
     `known` failures are those of earlier runs on unchanged input; `retried` says which workers were lost. `broken` are those
     failures that are checks which an export did not pass: its scene is done all the same. `same`: scans that are scenes of another
     name, by the names that they were given under; what came of them is told under the scene's. `rescans` are scenes that were held
-    against an earlier scan of their room.
+    against an earlier scan of their room. `refused` are the failures that are scans which cannot be used.
     """
 
     done: tuple[str, ...]
@@ -39,6 +39,7 @@ class RunReport:
     broken: tuple[str, ...] = ()
     same: dict[str, str] = dataclasses.field(default_factory=dict)
     rescans: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
 
 
 def broken_checks(lake: Lake, scenes: Collection[str] | None = None) -> dict[str, tuple[str, ...]]:
@@ -56,9 +57,14 @@ def broken_checks(lake: Lake, scenes: Collection[str] | None = None) -> dict[str
 
 
 def report_of(
-    plan: Plan, outcome: RunOutcome | None = None, began: datetime | None = None, broken: Mapping[str, Sequence[str]] | None = None
+    plan: Plan,
+    outcome: RunOutcome | None = None,
+    began: datetime | None = None,
+    broken: Mapping[str, Sequence[str]] | None = None,
+    refused_before: Collection[str] = (),
 ) -> RunReport:
     """The report of a plan; `outcome` is what came of the scenes that it computed, `broken` the checks of their exports.
+    `refused_before` are the lines of scans that an earlier run refused for the same reason.
 
     What failed since `began` is this run's failure, although the plan found it in the lake: the run had to start over.
     """
@@ -71,8 +77,9 @@ def report_of(
     failed = {r.scene_id for r in results if r.failed} | {s.scan.scene_id for s in plan.scenes if s.failure} | set(elsewhere)
     known: list[str] = []
     anew: list[str] = []
+    refused = tuple(str(error) for error in plan.unusable if not isinstance(error, FetchError))
     for error in plan.unusable:
-        (anew if isinstance(error, FetchError) else known).append(str(error))
+        (known if str(error) in refused_before else anew).append(str(error))
     for scene in plan.scenes:
         step = scene.failure
         if step is not None and step.before is not None:
@@ -101,6 +108,7 @@ def report_of(
         retried=tuple(outcome.retried) if outcome else (),
         broken=tuple(line for _, line in lines),
         same=dict(plan.same),
+        refused=refused,
     )
 
 

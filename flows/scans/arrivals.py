@@ -15,11 +15,12 @@ from typing import Any, Literal
 from flows.run.fingerprints import RACY_SECONDS, FileHashes, digest
 from flows.run.identity import Content, content_of, recorded_content, same_scenes
 from flows.scans.choice import DAY_SECONDS, ScanSource, scan_source
+from flows.scans.copies import incomplete_copies
 from flows.scans.listing import ScanListing, files_of
 from schemas.errors import InputError
 from schemas.wording import counted
 from tasks.capture.formats import survey
-from tasks.capture.scan import Scan
+from tasks.capture.scan import PassedOver, Scan
 from tasks.capture.wholeness import Gap, find_gap, is_temporary
 from warehouse.lake import Lake
 from warehouse.sharing.looks import Looks
@@ -66,12 +67,16 @@ class Arrival:
 
 @dataclasses.dataclass
 class Look:
-    """What a look found at the time `now` [s since the epoch], and what the next one is to remember."""
+    """What a look found at the time `now` [s since the epoch], and what the next one is to remember.
+
+    passed_over: Files that are not scans and need not be.
+    """
 
     now: float
     arrivals: list[Arrival]
     memory: dict[str, Any]
     before: dict[str, Any]
+    passed_over: tuple[InputError, ...] = ()
 
     def due(self, is_over: Callable[[str], bool]) -> list[Arrival]:
         """New and changed scans that no run is at work on; `is_over` says whether a run has ended.
@@ -150,7 +155,8 @@ def look(
         before = _memory(scans, lake).read()
         now = time.time() if now is None else now
         watcher = _Watcher(source, lake, settle_seconds, now, hashes, before)
-        return Look(now, watcher.look(format, dataset), watcher.memory, before)
+        arrivals = watcher.look(format, dataset)
+        return Look(now, arrivals, watcher.memory, before, tuple(watcher.passed_over))
     finally:
         hashes.save()
         source.close()
@@ -176,15 +182,19 @@ class _Watcher:
         self._before: Mapping[str, Any] = before if isinstance(before, dict) else {}
         self._after: dict[str, dict[str, Any]] = {}
         self.memory: dict[str, Any] = {"scans": self._after}
+        self.passed_over: list[InputError] = []
 
     def look(self, format: str, dataset: str | None) -> list[Arrival]:
         """Everything that lies there, by scene id."""
         listings, errors = self._source.listing(format, dataset)
+        self.passed_over = [error for error in errors if isinstance(error, PassedOver)]
         for scene, listing in listings.items():
             self._recall(scene, listing.mark)
         copying = {scene: name for scene, listing in listings.items() if (name := _temporary(listing))}
         settled = [scene for scene in listings if scene not in copying and self._age(scene) >= self._settle]
         failures = self._open([listings[scene] for scene in settled if not {"content", "nameless"} <= self._after[_key(scene)].keys()])
+        here = [listings[scene].scan for scene in settled if scene not in failures and isinstance(listings[scene].scan.path, Path)]
+        failures |= {scene: error.problem for scene, error in incomplete_copies(here, self._hashes).items()}
         lacking = _lacking(listings.values())
         captures, same = self._known(set(listings), [scene for scene in settled if scene not in failures])
         arrivals = []
@@ -201,7 +211,7 @@ class _Watcher:
                 if scene in same and arrival.state in _WANTED:
                     arrival = _known_as(arrival, same[scene], captures.get(same[scene]))
             arrivals.append(self._timed(arrival))
-        return arrivals + [self._timed(self._unusable(error)) for error in errors]
+        return arrivals + [self._timed(self._unusable(error)) for error in errors if error not in self.passed_over]
 
     def _known(self, scenes: set[str], settled: Sequence[str]) -> tuple[dict[str, StageState], dict[str, str]]:
         """States of the capture by scene, and the scans that are scenes of another name, of those that have settled."""
@@ -385,5 +395,6 @@ def watch_report(latest: Look, asked: Iterable[Arrival] = (), run: str = "", fai
     overdue = tuple(f"{arrival.scan}: {arrival.why}" for arrival in latest.arrivals if arrival.is_overdue)
     return WatchReport(tuple(named("new")), tuple(named("changed")), named("waiting"), named("failed before"), len(named("known")),
                        overdue, tuple(arrival.scan for arrival in asked), run, tuple(failures),
-                       {arrival.scan: arrival.left_out for arrival in latest.arrivals if arrival.left_out},
+                       {arrival.scan: arrival.left_out for arrival in latest.arrivals if arrival.left_out}
+                       | {error.file: f"{error.problem}; {error.remedy}".removesuffix("; ") for error in latest.passed_over},
                        {arrival.scan: arrival.same_as for arrival in latest.arrivals if arrival.same_as})  # fmt: skip

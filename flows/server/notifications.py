@@ -32,6 +32,9 @@ does not know by itself how people reach it."""
 
 ENDS = ("Failed", "Crashed", "TimedOut")
 
+AS_BEFORE = "as before: "
+"""First words of the message of a failed run without news. The webhook is not called for such a run."""
+
 ONCE_SECONDS = 60
 """An end of the same run within so long is the same end. A server hands an event to all its automations again when one of
 them found the database locked, and a client tells a state again that it had no answer to: each called the webhook anew."""
@@ -65,7 +68,7 @@ def notify(environment_name: str) -> list[Item]:
         name=FAILURES,
         description="Calls the webhook of the block metascenes-notification when a run fails, crashes or takes too long.",
         trigger=EventTrigger(
-            match={"prefect.resource.id": "prefect.flow-run.*"},
+            match={"prefect.resource.id": "prefect.flow-run.*", "prefect.state-message": f"!{AS_BEFORE}*"},
             match_related={"prefect.resource.id": f"prefect.tag.{TAG}", "prefect.resource.role": "tag"},
             expect={f"prefect.flow-run.{end}" for end in ENDS},
             for_each={"prefect.resource.id"},

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from tasks.capture.layout import STOREYS_RECORD, folders_in
-from tasks.capture.scan import ScanFormat
+from tasks.capture.scan import ScanFormat, matches
 
 MOST_NAMES = 2_000
 """Names that are looked at: a format shows in the first ones, and a folder may have millions."""
 
 _POSED = "write folders color and depth (16-bit PNG in millimetres), pose.txt and intrinsics.json"
 
+DOWNLOADING = "it is not whole: wait for the download, or download it again"
+
 CONVERSIONS = {
     "*.zip": "unpack it",
     "*.tar*": "unpack it",
+    "*.tgz": "unpack it",
+    "*.7z": "unpack it",
+    "*.rar": "unpack it",
+    "*.part": DOWNLOADING,
+    "*.partial": DOWNLOADING,
+    "*.download": DOWNLOADING,
+    "*.crdownload": DOWNLOADING,
     "*.r3d": "rename it to .zip and unzip it, then it is a recording of Record3D",
     "*.bag": f"export the recording: {_POSED}",
     "*.mkv": f"export the recording: {_POSED}",
@@ -35,10 +44,23 @@ CONVERSIONS = {
     "*.dae": "export it as GLB, in Blender",
     "*.gltf": "export it as GLB, in Blender",
     "*.blend": "export it as GLB, in Blender",
+    "*.stl": "export it as GLB, in Blender",
+    "*.usd[ac]": "package it as USDZ (usdzip of OpenUSD), or export it as GLB, in Blender",
+    "*.usd": "package it as USDZ (usdzip of OpenUSD), or export it as GLB, in Blender",
     "color/*": f"depth is missing: {_POSED}",
     "rgb/*": f"depth is missing: {_POSED}",
 }
 """What to do with files that no format has, by their names; the first that is there counts."""
+
+
+_PARTS = ("*.np[yz]", "*.exr", "*.mp4", "*.mov", "color/*", "rgb/*")
+"""Patterns of files that belong to something else as often as they are scans by themselves."""
+
+IMAGES = (".jpg", ".jpeg", ".png", ".webp", ".tga", ".bmp", ".tif", ".tiff", ".exr", ".hdr", ".ktx2", ".dds")
+"""Endings of textures."""
+
+_JUNK = frozenset({"thumbs.db", "desktop.ini", "icon\r", "__macosx"})
+"""What operating systems leave in folders, besides hidden files."""
 
 
 def likeness(folder: Path, formats: Sequence[ScanFormat]) -> tuple[str, str] | None:
@@ -57,17 +79,60 @@ def likeness(folder: Path, formats: Sequence[ScanFormat]) -> tuple[str, str] | N
     return ("has files that no format has", advice) if advice is not None else None
 
 
-def is_like(folder: Path, formats: Sequence[ScanFormat]) -> bool:
-    """Whether a folder looks like a scan of a format that lacks something."""
-    return _most_like([name.lower() for name in _names(folder)], formats) is not None
+def telling_format(folder: Path, formats: Sequence[ScanFormat]) -> ScanFormat | None:
+    """The format whose scan a folder is without something: names in it are a format's own, not ones that any folder may have."""
+    names = [name.lower() for name in _names(folder)]
+    best = _most_like(names, formats, _is_telling)
+    return None if best is None else best[0]
 
 
-def _most_like(names: Sequence[str], formats: Sequence[ScanFormat]) -> tuple[ScanFormat, list[str]] | None:
+def convertible(folder: Path) -> dict[str, list[str]]:
+    """Names of files directly in a folder that would be scans if they were converted, by what to do with them."""
+    advised: dict[str, list[str]] = {}
+    for path in visible(folder):
+        pattern = next((pattern for pattern in CONVERSIONS if fnmatchcase(path.name.lower(), pattern)), None)
+        if pattern is not None and pattern not in _PARTS and not path.is_dir():
+            advised.setdefault(CONVERSIONS[pattern], []).append(path.name)
+    return advised
+
+
+def is_material(folder: Path) -> bool:
+    """True if a folder holds textures and their lists, and nothing else."""
+    paths = list(visible(folder))
+    return bool(paths) and all(path.suffix.lower() in (*IMAGES, ".mtl", ".txt", ".bin") for path in paths)
+
+
+def visible(folder: Path) -> Iterator[Path]:
+    """What lies in a folder, sorted, without hidden files and what operating systems leave."""
+    return (path for path in sorted(folder.iterdir()) if not path.name.startswith(".") and not is_junk(path.name))
+
+
+def is_junk(name: str) -> bool:
+    """True if an operating system or browser left a file of this name. A colon begins a stream of a file, as `:Zone.Identifier`."""
+    return name.lower() in _JUNK or name.lower().endswith((":zone.identifier", ".zone.identifier"))
+
+
+def _is_telling(sign: str) -> bool:
+    """True if a sign has more of a name than an ending or the name of a folder."""
+    folder, _, name = sign.rpartition("/")
+    stem, dot, _ = name.rpartition(".")
+    return bool(dot) and (bool(stem.strip("*")) or bool(folder))
+
+
+def _is_evidence(sign: str) -> bool:
+    """True if a sign is more than an ending, which files of any kind have."""
+    return not sign.startswith("*.") or sign.count(".") > 1
+
+
+def _most_like(
+    names: Sequence[str], formats: Sequence[ScanFormat], is_evidence: Callable[[str], bool] = _is_evidence
+) -> tuple[ScanFormat, list[str]] | None:
     """The format of which names have the largest share of signs, the first of several, and the signs that they lack."""
     best: tuple[float, ScanFormat, list[str]] | None = None
     for format in formats:
-        missing = [sign for sign in format.signs if not any(fnmatchcase(name, sign.lower()) for name in names)]
-        share = 1.0 - len(missing) / len(format.signs) if format.signs else 0.0
+        found = [sign for sign in format.signs if any(matches(name, [sign.lower()]) for name in names)]
+        missing = [sign for sign in format.signs if sign not in found]
+        share = len(found) / len(format.signs) if any(map(is_evidence, found)) else 0.0
         if missing and share > 0.0 and (best is None or share > best[0]):
             best = (share, format, missing)
     return None if best is None else best[1:]
@@ -76,8 +141,8 @@ def _most_like(names: Sequence[str], formats: Sequence[ScanFormat]) -> tuple[Sca
 def _names(folder: Path) -> Iterator[str]:
     """Names in a folder, and below the folders in it, as paths from it."""
     left = MOST_NAMES
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or path.name == STOREYS_RECORD:
+    for path in visible(folder):
+        if path.name == STOREYS_RECORD:
             continue
         if path.is_file():
             yield path.name

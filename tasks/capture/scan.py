@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,8 @@ class ScanFormat:
     bare: What was read of a scan as one that names no instances, where those that it names are no objects; None where they are. Takes
     the scan, what was read, and what its labels mean. signs: Patterns of paths that its scans have, by which a folder that is none is
     told what it lacks. is_plain: Anybody can write it: what errors name where any format would do. is_last_resort: Takes any file of
-    its suffixes: none of a folder that looks like another format's. room: Pattern of scene ids that are scans of one room, which its
+    its suffixes: none of a folder that looks like another format's. unread: Patterns of paths in a scan's folder that its scans have and
+    that are not read, such as other versions of the mesh. room: Pattern of scene ids that are scans of one room, which its
     first group names. room_stated: The room's name where files say which scans are of one, None where they do not. shared: Files that
     several scans have in common may lie one folder above them. within: Of formats whose scans lie side by side in one folder: their
     main files and names, by the names in the folder.
@@ -53,17 +55,31 @@ class ScanFormat:
     signs: tuple[str, ...] = ()
     is_plain: bool = False
     is_last_resort: bool = False
+    unread: tuple[str, ...] = ()
     room: str = ""
     room_stated: Callable[[Scan], str | None] | None = None
     shared: bool = False
     within: Callable[[Path], Sequence[tuple[Path, str]]] | None = None
 
 
+class PassedOver(InputError):
+    """A file or folder that is not a scan and need not be one. A run reports it and does not fail."""
+
+
+class UnusableScan(InputError):
+    """A scan that cannot be used. `path` is its folder or file, `format` the format that it seems to have, '' if unknown."""
+
+    def __init__(self, error: InputError, path: Path, format: str = "") -> None:
+        super().__init__(error.file, error.field, error.problem, error.remedy)
+        self.path, self.format = path, format
+
+
 @dataclasses.dataclass(frozen=True)
 class Scan:
     """A scan that was found. `path` is its folder, or its file for one that lies beside others.
 
-    places: Folders, links followed, that links of the scan may lead into; without any, the scan's own.
+    places: Folders, links followed, that links of the scan may lead into; without any, the scan's own. word: The scan's part of
+    the scene id, where its name alone would give it the id of another scan; '' otherwise.
     """
 
     format: str
@@ -71,6 +87,7 @@ class Scan:
     dataset: str
     scan: str
     places: tuple[Path, ...] = dataclasses.field(default=(), compare=False)
+    word: str = ""
 
     @property
     def folder(self) -> Path:
@@ -85,7 +102,7 @@ class Scan:
     @property
     def scene_id(self) -> str:
         """`<dataset>/<scan>`, both as plain words."""
-        return f"{plain_word(self.dataset).lower()}/{plain_word(self.scan)}"
+        return f"{plain_word(self.dataset).lower()}/{self.word or plain_word(self.scan)}"
 
 
 def license_path(folder: Path, premises: Premises) -> Path | None:
@@ -98,6 +115,11 @@ def files_named(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     """Whatever in a folder has a name that ends so, in any case, and is no folder, sorted; hidden ones are passed over."""
     named = (path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith("."))
     return sorted(path for path in named if not path.is_dir())
+
+
+def matches(path: str, patterns: Iterable[str]) -> bool:
+    """True if a path in a folder matches one of some patterns, in which `*` stands for letters of one name."""
+    return any(path.count("/") == pattern.count("/") and fnmatchcase(path, pattern) for pattern in patterns)
 
 
 def single_file(scan: Scan, suffixes: Sequence[str]) -> Path:

@@ -8,7 +8,7 @@ Once it is written, the staged files are only left over, and the next commit or 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 
 from schemas.calls import ModelCall
 from schemas.record import Table, arrow_to_rows, rows_to_arrow
-from schemas.runs import Snapshot, StageRun
+from schemas.runs import RefusedScan, Snapshot, StageRun
 from schemas.tables import TABLES
 from warehouse.sharing.lease import Lease
 from warehouse.sharing.writer import this_writer, writer_of
@@ -87,16 +87,20 @@ class Commit:
         versions |= self._write_tables(made)
         if not made.is_empty:
             versions["stage_runs"] = self._write_runs(made)
-        snapshot = Snapshot(
-            snapshot_id=self._base.snapshot_id + 1,
-            created_at=now_utc(),
-            tables=tuple(f"{name}={versions[name]}" for name in sorted(versions)),
-            note=note,
-        )
-        self._write_snapshot(snapshot, [*made.adopted, *made.recorded])
+        snapshot = self._append_snapshot(versions, note, [*made.adopted, *made.recorded])
         self._staging.remove([*made.adopted, *made.recorded, *unwanted])
         self._remove_calls(taken)
         return snapshot
+
+    def refuse(self, scans: str, rows: Sequence[RefusedScan], note: str) -> Snapshot:
+        """Put refused scans in the place of all that were refused in a folder of scans, and append the snapshot."""
+        self.remove_adopted()
+        table = TABLES["refused_scans"]
+        writer = self._writer(table)
+        writer.replace(rows_to_arrow(rows, RefusedScan), "scans", {scans})
+        writer.compact()
+        assert writer.version is not None
+        return self._append_snapshot(dict(self._base.versions) | {table.name: writer.version}, note, [])
 
     def sweep(self, keep: Collection[tuple[str, str, str]]) -> None:
         """Remove staged runs that cannot be adopted and are not among `keep` (scene, stage, fingerprint).
@@ -348,6 +352,17 @@ class Commit:
         if writer.version is None:
             raise AssertionError("stage_runs has a version once it is written")
         return writer.version
+
+    def _append_snapshot(self, versions: Mapping[str, int], note: str, adopted: Sequence[StagedRun]) -> Snapshot:
+        """Write the snapshot that names these versions of tables: from then on they are what readers see."""
+        snapshot = Snapshot(
+            snapshot_id=self._base.snapshot_id + 1,
+            created_at=now_utc(),
+            tables=tuple(f"{name}={versions[name]}" for name in sorted(versions)),
+            note=note,
+        )
+        self._write_snapshot(snapshot, adopted)
+        return snapshot
 
     def rewrite_snapshots(self, kept: Sequence[Snapshot]) -> None:
         """Keep only these rows of `snapshots`."""

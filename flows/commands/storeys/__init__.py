@@ -11,6 +11,7 @@ import click
 
 from flows.commands.options import end_with_failures, json_option, scans_options, settings_options
 from schemas.wording import counted
+from tasks.capture.scan import PassedOver
 
 if TYPE_CHECKING:
     from flows.scans.storeys import ScanStoreys
@@ -42,6 +43,7 @@ def command(
 
     config = configure(config_file, settings).stages["capture"]
     chosen, unusable = found_scans(scans, scan_format, dataset, links_into=links_into)
+    unusable = [error for error in unusable if not isinstance(error, PassedOver)]
     with Progress("scans", len(chosen)) as progress:
         done = divide_scans(chosen, out, config, dry_run, progress.advance)
     failed = {row.scene_id: row.error for row in done if row.error is not None} | {error.file: error for error in unusable}

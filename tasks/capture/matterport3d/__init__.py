@@ -81,6 +81,6 @@ MATTERPORT3D = ScanFormat(
     is_recorded=lambda folder: bool(_within(folder)),
     files=_files,
     read=read_matterport,
-    signs=("region*.ply", f"region*{SEGMENTS}", f"region*{ANNOTATION}"),
+    signs=("region[0-9]*.ply", f"region[0-9]*{SEGMENTS}", f"region[0-9]*{ANNOTATION}"),
     within=_within,
 )

@@ -224,6 +224,7 @@ MULTISCAN = ScanFormat(
     is_recorded=lambda folder: bool(_annotations(folder)),
     files=_files,
     read=read_multiscan,
+    unread=("scene_*.ply", "scene_*.obj", "textured_mesh/*.obj"),
     signs=(f"*{ANNOTATION}", f"*{SEGMENTS}"),
     room=r"(.*/scene_\d{5})_\d{2}",  # rescans are scene_00000_00, scene_00000_01
 )

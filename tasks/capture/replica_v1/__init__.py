@@ -122,5 +122,6 @@ REPLICA_V1 = ScanFormat(
     is_recorded=lambda folder: _is_scan(folder) or any(map(_is_scan, folders_in(folder))),
     files=_files,
     read=read_replica,
+    unread=("mesh*.ply", f"{PLACE}/*.ply"),
     signs=(f"{PLACE}/{MESH}", f"{PLACE}/{OBJECTS}"),
 )

@@ -32,8 +32,8 @@ def read_roomplan(scan: Scan) -> Reading:
     Raises:
         InputError: the file is no captured room, or has no wall.
     """
-    folder = scan.path
-    path = own_file(scan, _document(folder).name)
+    folder = scan.folder
+    path = own_file(scan, _document(scan).name)
     name = name_of(path, folder)
     document = read_json(path, name)
     listed = {kind: elements_of(document.get(kind), name, kind) for kind in ("walls", "doors", "windows", "openings", "floors", "objects")}
@@ -89,15 +89,18 @@ def _documents(folder: Path) -> Sequence[Path]:
     return [path for path in documents if _NAMED.fullmatch(path.name) or path.stem in models]
 
 
-def _document(folder: Path) -> Path:
-    documents = _documents(folder)
+def _document(scan: Scan) -> Path:
+    """The JSON of a scan, which is the scan itself where several rooms or other meshes lie side by side."""
+    documents = _documents(scan.folder) if scan.path.is_dir() else [scan.path]
     if len(documents) != 1:
-        raise InputError(folder.name, "folder", f"holds {len(documents)} captured rooms, one is expected", "give every room its own folder")
+        problem = f"holds {len(documents)} captured rooms, one is expected"
+        raise InputError(scan.folder.name, "folder", problem, "give every room its own folder")
     return documents[0]
 
 
 def _files(scan: Scan, premises: Premises) -> list[Path]:
-    return [path for path in _documents(scan.folder) if path.is_file() and premises.admits(path)]
+    documents = _documents(scan.folder) if scan.path.is_dir() else [scan.path]
+    return [path for path in documents if path.is_file() and premises.admits(path)]
 
 
 ROOMPLAN = ScanFormat(
@@ -110,4 +113,5 @@ ROOMPLAN = ScanFormat(
     read=read_roomplan,
     signs=("*.usdz", "*.json"),
     is_modelled=True,
+    within=lambda folder: [(path, path.stem) for path in _documents(folder)],
 )

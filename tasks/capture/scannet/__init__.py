@@ -176,6 +176,7 @@ SCANNET = ScanFormat(
     is_recorded=lambda folder: _recognize(folder) is not None,
     files=_files,
     read=read_scannet,
+    unread=("*_vh_clean*.ply",),
     signs=("*_vh_clean_2.ply", "*.segs.json", "*.aggregation.json"),
     room=r"(.*/scene\d{4})_\d{2}",  # rescans are scene0001_00, scene0001_01
 )

@@ -77,5 +77,6 @@ SCANNETPP = ScanFormat(
     is_recorded=lambda folder: _has_mesh(folder) or any(map(_has_mesh, folders_in(folder))),
     files=_files,
     read=read_scannetpp,
+    unread=("scans/*.ply",),
     signs=(f"{PLACE}/{MESH}", f"{PLACE}/{SEGMENTS}", f"{PLACE}/{ANNOTATION}"),
 )

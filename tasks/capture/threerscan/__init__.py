@@ -210,6 +210,7 @@ THREERSCAN = ScanFormat(
     is_recorded=_is_scan,
     files=_files,
     read=read_threerscan,
+    unread=("mesh.refined*.obj", "labels.instances*.ply"),
     signs=(LABELLED[0], ANNOTATION[0], SEGMENTS[0]),
     room_stated=_room,
     shared=True,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import struct
 import tracemalloc
 from collections.abc import Callable, Iterator
@@ -261,14 +262,15 @@ def test_one_bad_scan_leaves_the_others_alone(room: BoxRoom, tmp_path: Path) -> 
     assert refused(scans[1].path).file == "scene0002_00/scene0002_00_vh_clean_2.ply"
 
 
-def test_two_scans_with_one_id(room: BoxRoom, tmp_path: Path) -> None:
+def test_two_scans_with_one_name_are_two_scenes(room: BoxRoom, tmp_path: Path) -> None:
     for place in ("a/scene0001_00", "b/scene0001_00", "b/scene0002_00"):
         write_scannet(tmp_path / place, room, frames="none")
     scans, errors = find_scans(tmp_path)
-    assert [scan.scene_id for scan in scans] == ["scannet/scene0002_00"]
-    assert len(errors) == 1
-    assert "a/scene0001_00" in errors[0].file
-    assert "b/scene0001_00" in errors[0].file
+    assert errors == []
+    named = {scan.path.relative_to(tmp_path).as_posix(): scan.scene_id for scan in scans}
+    assert named["a/scene0001_00"] == "scannet/scene0001_00"
+    assert re.fullmatch(r"scannet/scene0001_00-[0-9a-f]{8}", named["b/scene0001_00"])
+    assert named["b/scene0002_00"] == "scannet/scene0002_00"
 
 
 def test_find_scans_by_format(room: BoxRoom, tmp_path: Path) -> None:
