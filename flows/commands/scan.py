@@ -33,7 +33,8 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     from schemas.errors import InputError
     from schemas.files import read_file
     from tasks.containers import GLB_MAGIC
-    from tasks.geometry.meshes import load_glb, read_features
+    from tasks.geometry.gltf.plain import read_features
+    from tasks.geometry.meshes import load_glb
     from tasks.scanner import ScannerConfig, scan_scene
 
     scan = name or scene.stem

@@ -19,7 +19,8 @@ from tasks.capture.premises import Premises
 from tasks.capture.reading import Group, Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
 from tasks.containers import GLB_MAGIC
-from tasks.geometry.meshes import Surface, load_glb, parse_node_name, read_features, surface_of
+from tasks.geometry.gltf.plain import read_features
+from tasks.geometry.meshes import Surface, load_glb, parse_node_name, surface_of
 from tasks.geometry.transforms import Y_UP_TO_Z_UP
 from tasks.geometry.triangles import face_areas
 

@@ -130,9 +130,9 @@ def _most_like(
     """The format of which names have the largest share of signs, the first of several, and the signs that they lack."""
     best: tuple[float, ScanFormat, list[str]] | None = None
     for format in formats:
-        found = [sign for sign in format.signs if any(matches(name, [sign.lower()]) for name in names)]
-        missing = [sign for sign in format.signs if sign not in found]
-        share = len(found) / len(format.signs) if any(map(is_evidence, found)) else 0.0
+        present = [sign for sign in format.signs if any(matches(name, [sign.lower()]) for name in names)]
+        missing = [sign for sign in format.signs if sign not in present]
+        share = len(present) / len(format.signs) if any(map(is_evidence, present)) else 0.0
         if missing and share > 0.0 and (best is None or share > best[0]):
             best = (share, format, missing)
     return None if best is None else best[1:]

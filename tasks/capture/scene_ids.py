@@ -23,13 +23,13 @@ def with_distinct_ids(scans: Iterable[Scan], folder: Path) -> list[Scan]:
     groups: dict[str, list[Scan]] = {}
     for scan in scans:
         groups.setdefault(scan.scene_id.casefold(), []).append(scan)
-    distinct, others = [], []
+    distinct, colliding = [], []
     for group in groups.values():
         first, *rest = sorted(group, key=lambda scan: _rank(scan, folder))
         distinct.append(first)
-        others += rest
+        colliding += rest
     taken = {scan.scene_id.casefold() for scan in distinct}
-    for scan in sorted(others, key=lambda scan: _rank(scan, folder)):
+    for scan in sorted(colliding, key=lambda scan: _rank(scan, folder)):
         marked = marked_scan(scan, place_below(scan.path, folder), taken)
         taken.add(marked.scene_id.casefold())
         distinct.append(marked)

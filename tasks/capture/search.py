@@ -234,7 +234,7 @@ def _unread_line(folder: Path, scan: Scan, unread: Sequence[Path]) -> PassedOver
 
 def _meshes_below(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     """Files below a folder with one of some endings, sorted; hidden ones, and what lies behind links, are left out."""
-    found: list[Path] = []
+    meshes: list[Path] = []
     left = MAX_NAMES_BELOW
     level = [folder]
     for _ in range(MAX_DEPTH_BELOW):
@@ -248,13 +248,13 @@ def _meshes_below(folder: Path, suffixes: Sequence[str]) -> list[Path]:
             for path in paths:
                 ending = path.suffix.lower()
                 if ending in suffixes and not path.is_dir():
-                    found.append(path)
+                    meshes.append(path)
                 elif (ending not in _FRAME_ENDINGS or ending in suffixes) and path.is_dir() and not path.is_symlink():
                     inner.append(path)
             if left <= 0:
-                return sorted(found)
+                return sorted(meshes)
         level = inner
-    return sorted(found)
+    return sorted(meshes)
 
 
 def _too_deep(folder: Path, wanted: Search) -> list[InputError]:

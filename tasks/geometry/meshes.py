@@ -19,7 +19,7 @@ from tasks.containers import weigh_glb
 from tasks.geometry.colors import bytes_of_linear, linear_of, shorts_of_bytes, tinted
 from tasks.geometry.colors.gltf import COLORS, GRAY, displayed_glb, put_linear
 from tasks.geometry.encoded_images import keep_encoded, put_encoded, textures
-from tasks.geometry.gltf.plain import PlainGlb, plain_glb
+from tasks.geometry.gltf.plain import plain_glb
 from tasks.geometry.plain_glb import PlainBody, read_plain, write_plain
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 from tasks.geometry.triangles import face_crosses, spread_by
@@ -65,16 +65,6 @@ class Surface:
         visual: Any = mesh.visual
         visual.vertex_colors = np.column_stack([self.colors, np.full(len(self.colors), 255, dtype=np.uint8)])
         return mesh
-
-
-def read_features(data: bytes, file: str = "mesh.glb") -> PlainGlb:
-    """The plain GLB of a file of others, with notes on the features that are not read.
-
-    Raises:
-        InputError: it is not a GLB, would take more than the budget, or uses a feature without which its geometry would be wrong.
-    """
-    document = weigh_glb(data, file)
-    return PlainGlb(data, document) if read_plain(data, document) is not None else plain_glb(data, document, file)
 
 
 def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:

@@ -16,7 +16,8 @@ from schemas.files import is_there, read_file, stays_in
 from tasks.capture.files.documents import name_of, read_bytes
 from tasks.capture.files.ply import check_counts
 from tasks.containers import GLB_MAGIC
-from tasks.geometry.meshes import check_looks, load_glb, read_features
+from tasks.geometry.gltf.plain import read_features
+from tasks.geometry.meshes import check_looks, load_glb
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 
 if TYPE_CHECKING:

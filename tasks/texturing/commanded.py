@@ -18,7 +18,8 @@ from schemas.files import read_file, stays_in, write_whole
 from schemas.machine.scratch import temporary_folder
 from tasks.calls.command import filled, places_in, run_apart
 from tasks.containers import GLB_MAGIC
-from tasks.geometry.meshes import Surface, load_glb, material_of, read_features, sample_surface, surface_of
+from tasks.geometry.gltf.plain import read_features
+from tasks.geometry.meshes import Surface, load_glb, material_of, sample_surface, surface_of
 from tasks.geometry.proximity import closest_points
 from tasks.settings import Config, Count, Natural, Positive, Share, Texts
 from tasks.texturing.charts import ChartFigures, chart_figures

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from schemas.errors import InputError
-from tasks.containers import close_glb, over_budget
+from tasks.containers import close_glb, over_budget, weigh_glb
 from tasks.geometry.gltf.arrays import Array, Arrays, ArrayWriter, Floats, natural
 from tasks.geometry.gltf.decoding import decoded_accessors, decoded_views
 from tasks.geometry.gltf.features import (
@@ -35,6 +35,7 @@ from tasks.geometry.gltf.features import (
 from tasks.geometry.gltf.images import REPEAT
 from tasks.geometry.gltf.looks import PlainLook, PlainLooks
 from tasks.geometry.gltf.posing import PosedMesh, joint_poses, morphed, plain_tree, skinned
+from tasks.geometry.plain_glb import read_plain
 
 _REWRITTEN = {DRACO, GLOSS, INSTANCING, TRANSFORM, VISIBILITY, "KHR_mesh_quantization", *MESHOPT, *IMAGE_EXTENSIONS}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -48,6 +49,16 @@ class PlainGlb:
     data: bytes
     document: Document
     notes: tuple[str, ...] = ()
+
+
+def read_features(data: bytes, file: str = "mesh.glb") -> PlainGlb:
+    """The plain GLB of a file of others, with notes on the features that are not read.
+
+    Raises:
+        InputError: it is not a GLB, would take more than the budget, or uses a feature without which its geometry would be wrong.
+    """
+    document = weigh_glb(data, file)
+    return PlainGlb(data, document) if read_plain(data, document) is not None else plain_glb(data, document, file)
 
 
 def plain_glb(data: bytes, document: Document, file: str) -> PlainGlb:

@@ -10,7 +10,8 @@ import pytest
 from schemas.errors import InputError
 from tasks.exports.glb.rules import check_glb
 from tasks.geometry.gltf.features import CORE, EXTENSIONS, find_features
-from tasks.geometry.meshes import load_glb, read_features
+from tasks.geometry.gltf.plain import read_features
+from tasks.geometry.meshes import load_glb
 from tests.conftest import REPOSITORY
 from tests.tasks.geometry.gltf import files as gltf_files
 from tests.tasks.geometry.gltf.files import TABLES, Gltf, box

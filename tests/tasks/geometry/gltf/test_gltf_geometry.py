@@ -8,8 +8,8 @@ import trimesh
 
 from schemas.errors import InputError
 from tasks.containers import open_glb, weigh_glb
-from tasks.geometry.gltf.plain import triangles_of
-from tasks.geometry.meshes import Surface, load_glb, read_features, surface_of
+from tasks.geometry.gltf.plain import read_features, triangles_of
+from tasks.geometry.meshes import Surface, load_glb, surface_of
 from tests.tasks.geometry.gltf import files as gltf_files
 from tests.tasks.geometry.gltf.files import TABLES, TOLERANCES, Gltf, box, instanced, table
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from schemas.errors import InputError
 from tasks.candidates.assets import make_asset
 from tasks.geometry.gltf.images import CLAMP, MIRROR, REPEAT, repeated_lookup
-from tasks.geometry.meshes import load_glb, material_of, read_features, surface_of
+from tasks.geometry.gltf.plain import read_features
+from tasks.geometry.meshes import load_glb, material_of, surface_of
 from tests.tasks.geometry.gltf.files import RED, Gltf, colored_by, painted, picture
 
 LEFT, RIGHT = [0.25, 0.5], [0.75, 0.5]
