@@ -47,9 +47,13 @@ class PrefectErasure:
     @classmethod
     def total(cls, parts: Sequence[PrefectErasure]) -> PrefectErasure:
         """Several erasures of one command as one."""
-        counts = (sum(getattr(part, name) for part in parts) for name in ("deleted", "redacted", "files"))
-        lines = dict.fromkeys(line for part in parts for line in part.remains)
-        return cls(parts[-1].database if parts else None, *counts, tuple(lines))
+        return cls(
+            database=parts[-1].database if parts else None,
+            deleted=sum(part.deleted for part in parts),
+            redacted=sum(part.redacted for part in parts),
+            files=sum(part.files for part in parts),
+            remains=tuple(dict.fromkeys(line for part in parts for line in part.remains)),
+        )
 
 
 def erase_from_prefect(traces: Traces, dry_run: bool = False) -> PrefectErasure:

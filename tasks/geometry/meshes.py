@@ -85,7 +85,8 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     if bodies is not None:
         return [body.mesh() for body in bodies]
     plain = plain_glb(data, document, file)
-    data, document = displayed_glb(plain.data, plain.document, file), dict(plain.document)
+    document = dict(plain.document)
+    data = displayed_glb(plain.data, document, file)
     try:
         with warnings.catch_warnings(), np.errstate(invalid="ignore", over="ignore"):
             warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here

@@ -154,10 +154,9 @@ def _keys_of(document: Any) -> Keys | None:
     port, origin, people = document.get("port"), document.get("origin", ""), document.get("people")
     if people is None and isinstance(document.get("tokens"), dict):
         people = {name: {"token": token} for name, token in document["tokens"].items()}
-    is_sound = isinstance(people, dict) and isinstance(port, int) and 0 <= port <= 65535 and isinstance(origin, str)
-    if not is_sound:
+    if not isinstance(people, dict) or not isinstance(port, int) or not 0 <= port <= 65535 or not isinstance(origin, str):
         return None
-    keys = {name: _key_of(entry) for name, entry in people.items()}  # type: ignore[union-attr]
+    keys = {name: _key_of(entry) for name, entry in people.items()}
     return None if None in keys.values() else Keys({name: key for name, key in keys.items() if key is not None}, port, origin)
 
 
