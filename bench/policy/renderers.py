@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,7 +99,7 @@ def _drawn(python: str, script: Path, variable: str, file: Path, wanted: RenderR
     request = json.dumps({"scene": str(file), **dataclasses.asdict(wanted)})
     reasons = []
     for library in LIBRARIES:
-        settings: Mapping[str, str] = {variable: library, "LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "0"}
+        settings = {variable: library, "LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "0"}
         command = [python, "-I", str(script)]
         done = subprocess.run(command, input=request, capture_output=True, text=True, check=False, env=child_environment() | settings)
         if done.returncode == 0:

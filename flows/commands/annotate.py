@@ -302,7 +302,12 @@ def list_tokens(
     rows = []
     for name, key in sorted(keys.people.items()):
         is_shown = not dry_run and (addresses or person(name) in new)
-        row = {"person": name, "roles": list(key.roles), "state": "valid" if key.token else "withdrawn", "since": key.since or None}
+        row: dict[str, Any] = {
+            "person": name,
+            "roles": list(key.roles),
+            "state": "valid" if key.token else "withdrawn",
+            "since": key.since or None,
+        }
         rows.append(row | ({"address": keys.address(name)} if is_shown else {}))
     if as_json:
         print(json.dumps({"batch_id": batch_id, "people": rows}))
