@@ -17,6 +17,7 @@ from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
 from tasks.ingestion import models
+from tasks.ingestion.materials import material_files
 
 SUFFIXES = (".obj", ".ply", ".usdz", ".glb")
 """Of files that are read. GLBs are looked at as scenes of named objects first, unless this format is asked for by name."""
@@ -57,7 +58,7 @@ def _recognize(folder: Path) -> str | None:
 
 def _files(scan: Scan, premises: Premises) -> list[Path]:
     path = single_file(scan, SUFFIXES)
-    return [path, *(file for file in models.material_files(path, path.parent) if premises.admits(file))]
+    return [path, *(file for file in material_files(path, path.parent) if premises.admits(file))]
 
 
 BARE_MESH = ScanFormat(
