@@ -15,7 +15,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file, stays_in
 from tasks.capture.files.documents import name_of, read_bytes
-from tasks.capture.files.ply import read_ply
+from tasks.capture.files.ply import read_ply_mesh
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import check_looks, load_glb
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
@@ -89,7 +89,8 @@ def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[
 
     resolver, materials = None, None
     if kind == "ply":
-        return [read_ply(path, name, is_in_metres=False).to_trimesh()], []
+        ply = read_ply_mesh(path, name, is_in_metres=False)
+        return [ply.surface.to_trimesh()], list(ply.notes)
     if kind == "obj":
         data = decoded(data)
         materials = read_materials(data, path, root)

@@ -12,7 +12,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.bare_mesh.upright import Y_UP, Stated, bare_reading
 from tasks.capture.files.documents import license_of, name_of
-from tasks.capture.files.ply import read_ply
+from tasks.capture.files.ply import read_ply_mesh
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
@@ -39,8 +39,9 @@ def read_mesh(scan: Scan) -> Reading:
     license = license_of(license_path(scan.folder, scan.premises))
     kind = path.suffix.lower()
     if kind == ".ply":
-        surface = read_ply(path, name, is_in_metres=False)
-        return bare_reading([surface.to_trimesh()], Stated(None, "z", "most of its kind"), (NO_FRAMES,), license, name)
+        ply = read_ply_mesh(path, name, is_in_metres=False)
+        stated = Stated(None, "z", "most of its kind")
+        return bare_reading([ply.surface.to_trimesh()], stated, (NO_FRAMES, *ply.notes), license, name)
     try:
         if kind == ".glb":
             parts, notes = models.read_model(path, root, is_z_up=False, limit=BUDGET.scene_bytes)
