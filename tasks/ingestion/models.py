@@ -16,6 +16,7 @@ from schemas.errors import InputError
 from schemas.files import read_file, stays_in
 from tasks.capture.files.documents import name_of, read_bytes
 from tasks.capture.files.ply import read_ply_mesh
+from tasks.capture.files.survey import offset_error
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import check_looks, load_glb
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
@@ -30,10 +31,16 @@ ENDINGS = (".glb", ".obj", ".ply", ".stl")
 MAX_MODEL_BYTES, MAX_STAGE_BYTES = BUDGET.model_bytes, BUDGET.scene_bytes
 
 
-def read_model(path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYTES) -> tuple[list[trimesh.Trimesh], list[str]]:
+MAX_OFFSET = 1e6
+"""Objects of a dataset lie no farther from their origin [m]."""
+
+
+def read_model(
+    path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYTES, max_offset: float = MAX_OFFSET
+) -> tuple[list[trimesh.Trimesh], list[str]]:
     """Parts of a mesh file in a +Z-up frame [m], textures kept; and what is missing of its materials, a line each.
 
-    is_z_up: Coordinates in the file have +Z up, else +Y up.
+    is_z_up: Coordinates in the file have +Z up, else +Y up. max_offset: Largest coordinate, in units of the file.
 
     Raises:
         InputError: the file lies outside `root`, is missing, too large, of another kind, or no usable mesh; or its
@@ -56,8 +63,11 @@ def read_model(path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYT
         parts, notes = _loaded(data, path, root, name, kind[1:])
         turn = None if is_z_up else Y_UP_TO_Z_UP
     for part in parts:
-        if not np.isfinite(part.vertices).all() or np.abs(part.vertices).max() > 1e6:
-            raise InputError(name, "vertices", "are not finite, or farther away than 1,000 km", "export it again, in metres")
+        if not np.isfinite(part.vertices).all():
+            raise InputError(name, "vertices", "are not finite", "export it again")
+        distance = float(np.abs(part.vertices).max())
+        if distance > max_offset:
+            raise offset_error(name, distance, max_offset)
         if turn is not None:
             part.apply_transform(turn)
     return parts, notes

@@ -96,8 +96,12 @@ def check_model(model: ReadModel, name: str) -> None:
         vertices, corners = np.asarray(part.vertices), np.asarray(part.faces)
         if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
             raise InputError(name, "faces", "name vertices that are not there", "export it again")
-        if not np.isfinite(vertices).all() or np.abs(vertices).max(initial=0.0) > FARTHEST:
-            raise InputError(name, "vertices", f"are not finite, or farther than {FARTHEST:.0e} units away", "export it again")
+        if not np.isfinite(vertices).all():
+            raise InputError(name, "vertices", "are not finite", "export it again")
+        farthest = float(np.abs(vertices).max(initial=0.0))
+        if farthest > FARTHEST:
+            problem = f"are {farthest:,.0f} units from the origin (limit {FARTHEST:,.0f})"
+            raise InputError(name, "vertices", problem, "subtract the survey offset")
     if model.unit_m is not None and not (np.isfinite(model.unit_m) and 1e-6 <= model.unit_m <= 1e6):
         raise InputError(name, "unit", f"is {model.unit_m} m, which nobody measures in", "set metersPerUnit to 0.01 or 1")
 

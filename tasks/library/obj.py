@@ -7,6 +7,7 @@ from pathlib import Path
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
+from tasks.capture.files.survey import MAX_SURVEY_OFFSET
 from tasks.ingestion import models
 from tasks.ingestion.materials import decoded, material_files
 from tasks.library.format import MOST_FACES, ModelFormat, ReadModel
@@ -26,7 +27,7 @@ def _read(path: Path, root: Path) -> ReadModel:
     """
     name = path.relative_to(root).as_posix()
     _weigh(decoded(read_file(path, name, MOST_BYTES)), name)
-    parts, notes = models.read_model(path, root, is_z_up=True, limit=MOST_BYTES)
+    parts, notes = models.read_model(path, root, is_z_up=True, limit=MOST_BYTES, max_offset=MAX_SURVEY_OFFSET)
     return ReadModel(parts, OBJ.name, None, None, notes=tuple(notes))
 
 

@@ -13,6 +13,7 @@ from schemas.errors import InputError
 from tasks.capture.bare_mesh.upright import Y_UP, Stated, bare_reading
 from tasks.capture.files.documents import license_of, name_of
 from tasks.capture.files.ply import read_ply_mesh
+from tasks.capture.files.survey import MAX_SURVEY_OFFSET
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
@@ -44,7 +45,7 @@ def read_mesh(scan: Scan) -> Reading:
         return bare_reading([ply.surface.to_trimesh()], stated, (NO_FRAMES, *ply.notes), license, name)
     try:
         if kind == ".glb":
-            parts, notes = models.read_model(path, root, is_z_up=False, limit=BUDGET.scene_bytes)
+            parts, notes = models.read_model(path, root, is_z_up=False, limit=BUDGET.scene_bytes, max_offset=MAX_SURVEY_OFFSET)
             return bare_reading(parts, Y_UP, (NO_FRAMES, *notes), license, name)
         model = (OBJ if kind == ".obj" else USD).read(path, root)
     except InputError as error:

@@ -27,6 +27,7 @@ from tasks.capture.files.ply_elements import (
     vertex_colors_of,
 )
 from tasks.capture.files.ply_header import AGAIN, PlyElement, check_counts, header
+from tasks.capture.files.survey import offset_error
 from tasks.geometry.meshes import Surface
 
 MAX_EXTENT_M = 200.0
@@ -107,7 +108,10 @@ def check_vertices(vertices: NDArray[np.float64], name: str) -> None:
         raise InputError(name, f"vertex {row}", f"{'xyz'[axis]} is {vertices[row, axis]} ({count} such vertices)", AGAIN)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent = float((high - low).max())
-    if extent > MAX_EXTENT_M or max(-low.min(), high.max()) > MAX_OFFSET_M:
+    offset = float(np.abs(low / 2 + high / 2).max())
+    if extent <= MAX_EXTENT_M and offset > MAX_OFFSET_M:
+        raise offset_error(name, offset, MAX_OFFSET_M)
+    if extent > MAX_EXTENT_M:
         remedy = "scale the mesh to metres, or remove stray vertices"
         raise InputError(name, "vertex", f"spans {extent:.4g} m, more than {MAX_EXTENT_M:g}", remedy)
     if extent < 0.1:
