@@ -29,7 +29,7 @@ from tasks.library.duplicates import marked, signature_of
 from tasks.library.embeddings import encoder_in
 from tasks.library.entry import IndexEntry, dumped, loaded
 from tasks.library.fields import field_of
-from tasks.library.formats import content_of, model_files, read_model
+from tasks.library.formats import content_of, model_files, read_model, skipped_note
 from tasks.library.metadata import ModelFacts
 from tasks.library.units import canonical_parts, convention_of
 from tasks.selection.methods.encoders import weights_digest
@@ -236,8 +236,8 @@ def index_folder(
             entries.append(made)
     by_file = {entry.file: entry for entry in entries}
     done = marked(entries, lambda entry: _vertices(folder, by_file[entry.file], catalog))
-    notes = tuple(f"{entry.file}: {note}" for entry in done for note in entry.notes)
-    return ModelIndex(tuple(done), dict(sorted(refused.items())), notes)
+    notes = [f"{entry.file}: {note}" for entry in done for note in entry.notes]
+    return ModelIndex(tuple(done), dict(sorted(refused.items())), (*notes, *skipped_note(folder)))
 
 
 @dataclasses.dataclass(frozen=True)
