@@ -242,10 +242,8 @@ def _attempt(
     except (NoFurtherCall, ConnectionError, TimeoutError):  # of the ledger or the lake: nobody's fault, and the next run goes on
         raise
     except Exception as error:  # one slot of one instance never stops the others; the row tells what happened
-        text = (
-            one_line(error) if isinstance(error, LakeError | ValueError) else f"cannot be computed: {one_line(error) or 'no reason given'}"
-        )
-        text = text[:300]
+        is_stated = isinstance(error, LakeError | ValueError)
+        text = (one_line(error) if is_stated else f"cannot be computed: {one_line(error) or 'no reason given'}")[:300]
         return _row(number, provider, request, outcome="failed", reason=text, is_fallback=is_fallback), None
     row = _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id)
     seconds = time.perf_counter() - clock

@@ -50,7 +50,7 @@ PITCHES_RADIANS = (0.35,)
 class IndexConfig(Config):
     """What an entry holds. The index depends on it: another config makes other entries."""
 
-    version: str = "3"  # goes up when the same file would make another entry
+    version: str = "4"  # goes up when the same file would make another entry
     views: Count = 8  # pictures that are embedded: quarters and what lies between, so that one comes near to any photograph
     pieces: bool = False  # convex pieces are cut now and remembered, up to 10 s a model; else when a scene first holds it
     weights: str = ""  # folder of CLIP or SigLIP; none ships, and without one entries have no vectors
