@@ -16,6 +16,9 @@ from typing import TypeGuard
 from schemas.candidates import Asset, Candidate, TextureCharts
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
+from schemas.errors import LakeError
+from schemas.record import check
+from schemas.text import one_line
 from tasks.calls.exchange import EndpointAway
 from tasks.calls.ledger import NoFurtherCall
 from tasks.candidates.assets import MadeAsset
@@ -225,6 +228,9 @@ def _attempt(
         made = lender.drawn.get(provider) if family.draws_looks else None
         if made is None:
             made = family.offer(lender if family.draws_looks else request, provider)
+            # A value that the table refuses leaves this slot out, not the whole scene.
+            check([made.asset], Asset)
+            check([made.charts] if made.charts is not None else [], TextureCharts)
         if family.draws_looks:
             lender.drawn[provider] = made
     except NothingToOffer as nothing:
@@ -236,7 +242,8 @@ def _attempt(
     except (NoFurtherCall, ConnectionError, TimeoutError):  # of the ledger or the lake: nobody's fault, and the next run goes on
         raise
     except Exception as error:  # one slot of one instance never stops the others; the row tells what happened
-        text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        is_stated = isinstance(error, LakeError | ValueError)
+        text = (one_line(error) if is_stated else f"cannot be computed: {one_line(error) or 'no reason given'}")[:300]
         return _row(number, provider, request, outcome="failed", reason=text, is_fallback=is_fallback), None
     row = _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id)
     seconds = time.perf_counter() - clock

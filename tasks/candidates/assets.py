@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from schemas.candidates import Asset, TextureCharts
 from tasks.geometry.encoded_images import has_image
 from tasks.geometry.meshes import Surface, canonical, dump_bodies, dump_glb, surface_of
 from tasks.geometry.plain_glb import PlainBody
-from tasks.geometry.triangles import enclosed_volume, is_closed, openness, signed_volumes, welded
+from tasks.geometry.triangles import distinct_rows, enclosed_volume, is_closed, openness, signed_volumes, welded
 from tasks.texturing.rows import own_charts
 from tasks.views.pictures import thumbnail
 
@@ -109,12 +109,20 @@ def make_asset(
         extents=tuple(float(v) for v in np.ptp(surface.bounds, axis=0)),
         volume_m3=volume,
         is_watertight=closed is not None,
-        open_reason=None if closed is not None else openness(joined(surface).faces),
+        open_reason=None if closed is not None else openness(distinct_faces(joined(surface)).faces),
         has_texture=any(has_image(part) for part in parts),
         vertex_count=len(surface.vertices),
         face_count=len(surface.faces),
     )
     return MadeAsset(asset, files)
+
+
+def has_image(part: trimesh.Trimesh) -> bool:
+    """True if a part is drawn with an image that was read."""
+    visual = cast(Any, part.visual)
+    if getattr(visual, "kind", None) != "texture" or visual.uv is None or len(visual.uv) != len(part.vertices):
+        return False
+    return getattr(visual.material, "baseColorTexture", None) is not None or getattr(visual.material, "image", None) is not None
 
 
 def _volumes(bodies: Sequence[PlainBody]) -> list[float]:
@@ -155,11 +163,33 @@ def decimated(surface: Surface, face_count: int) -> Surface:
 
 
 def _closed(surface: Surface) -> Surface | None:
-    """A surface that is closed, as it is indexed or once equal corners are one (textures split them); None for an open one."""
+    """A surface that is closed, as it is indexed or once equal corners are one (textures split them); None for an open one.
+
+    Faces of the same three corners count once: some programs list each face again for its other side.
+    """
+    made = joined(surface)
+    single = distinct_faces(made)
+    if len(single.faces) < len(made.faces):
+        return _consistent(single) if is_closed(single.faces) else None
     if is_closed(surface.faces):
         return surface
-    made = joined(surface)
     return made if is_closed(made.faces) else None
+
+
+def distinct_faces(surface: Surface) -> Surface:
+    """A surface with the first of the faces that have the same three corners, in whichever order."""
+    first, _ = distinct_rows(np.sort(surface.faces, axis=1))
+    return dataclasses.replace(surface, faces=surface.faces[np.sort(first)])
+
+
+def _consistent(surface: Surface) -> Surface:
+    """A closed surface whose faces are wound the same way around."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    if not mesh.is_winding_consistent:
+        trimesh.repair.fix_winding(mesh)
+    return dataclasses.replace(surface, faces=np.asarray(mesh.faces, dtype=np.int64))
 
 
 def joined(surface: Surface) -> Surface:

@@ -47,6 +47,9 @@ SMOOTHING_CELLS = 0.7
 CROP_SMOOTHING_ROUNDS = 4
 """Rounds of averaging over neighbors before rays are cast: a face turned around by noise would vote for the wrong side."""
 
+MAX_SMOOTHED_EDGE_STEPS = 6.0
+"""Longest edge, in cells, along which vertices are averaged; the edges of a scan have a cell or two."""
+
 MIN_THICKNESS_M = 0.005
 """No side of the solid is thinner."""
 
@@ -86,7 +89,7 @@ def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN) -> SolidField:
     origin = low - 2 * step
     origin[2] = low[2] - 2.5 * step  # the floor lies halfway between two nodes
     grid = NodeGrid(origin, step, (int(shape[0]), int(shape[1]), int(shape[2])))
-    vertices = _smoothed(crop)
+    vertices = _smoothed(crop, MAX_SMOOTHED_EDGE_STEPS * step)
     # Only near the surface does the amount matter; elsewhere the sign does.
     distance = distances(vertices, crop.faces, grid, FAR_STEPS * step)
     inside = enclosed(vertices, crop.faces, grid, distance > 0.5 * step).astype(np.float32)
@@ -98,11 +101,14 @@ def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN) -> SolidField:
     return SolidField(_grounded(field, grid.axes[2], low[2], step), origin, step, middle - half, middle + half)
 
 
-def _smoothed(crop: Surface) -> Array:
+def _smoothed(crop: Surface, max_edge_m: float) -> Array:
     """Vertices of a crop averaged with their neighbors, shape (n, 3) [m]."""
     from scipy.sparse import coo_matrix, diags_array
 
     i, j = np.concatenate([crop.faces[:, [0, 1]], crop.faces[:, [1, 2]], crop.faces[:, [2, 0]]]).T
+    # Vertices of large faces are corners of a model, not noise: their average would shrink a box to a point.
+    is_short = np.linalg.norm(crop.vertices[i] - crop.vertices[j], axis=1) <= max_edge_m
+    i, j = i[is_short], j[is_short]
     n = len(crop.vertices)
     links = coo_matrix((np.ones(2 * len(i)), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n)).tocsr()
     links.data[:] = 1.0
@@ -148,8 +154,10 @@ def closed_mesh(field: SolidField, tolerance: float | None = None) -> tuple[Arra
     kept = [body for body in solid.decompose() if body.volume() > 0 and _diagonal(body) >= MIN_BODY_SHARE * whole]
     if not kept:
         raise ValueError("the crop encloses nothing")
-    solid = manifold3d.Manifold.compose(kept).simplify(0.25 * field.step if tolerance is None else tolerance)
-    return manifold_arrays(solid)
+    solid = manifold3d.Manifold.compose(kept)
+    simplified = solid.simplify(0.25 * field.step if tolerance is None else tolerance)
+    # A thin solid may fold when it is simplified, and then encloses less than nothing.
+    return manifold_arrays(simplified if simplified.volume() > 0 else solid)
 
 
 def fitted(vertices: Array, low: Array, high: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +14,7 @@ from schemas.errors import InputError
 from tasks.capture.bare_mesh.upright import Y_UP, bare_reading
 from tasks.capture.files.documents import license_of, name_of, read_bytes
 from tasks.capture.files.ply import check_vertices
+from tasks.capture.files.survey import shift_note, survey_shift
 from tasks.capture.joined import split_joined
 from tasks.capture.labels import Label
 from tasks.capture.premises import Premises
@@ -21,7 +23,7 @@ from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, sing
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.gltf.plain import read_features
 from tasks.geometry.meshes import Surface, load_glb, parse_node_name, surface_of
-from tasks.geometry.transforms import Y_UP_TO_Z_UP
+from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP, translation
 from tasks.geometry.triangles import face_areas
 
 SUFFIXES = (".glb",)
@@ -56,6 +58,13 @@ def read_glb_scene(scan: Scan) -> Reading:
         surface = surface_of(parts)
     except (ValueError, IndexError) as error:
         raise InputError(name, "meshes", f"are broken ({error})", "export it again") from error
+    shift = survey_shift(surface.vertices, name) if np.isfinite(surface.vertices).all() else None
+    from_file, notes = Y_UP_TO_Z_UP, ("no frames in the scene: no views, no masks",)
+    if shift is not None:
+        for part in parts:
+            part.apply_translation(shift)
+        surface, from_file = surface_of(parts), translation(shift) @ Y_UP_TO_Z_UP
+        notes = (*notes, shift_note(shift, name))
     check_vertices(surface.vertices, name)
     if not np.isfinite(surface.vertices).all():
         raise InputError(name, "meshes", "have coordinates that are not finite", "export it again")
@@ -87,9 +96,9 @@ def read_glb_scene(scan: Scan) -> Reading:
         room_type="",
         license=license_of(license_path(folder, scan.premises)),
         is_dense=False,
-        degradations=("no frames in the scene: no views, no masks", *plain.notes, *joined_notes),
-        glb=plain.data,
-        from_file=Y_UP_TO_Z_UP,
+        degradations=(*notes, *plain.notes, *joined_notes),
+        glb=plain.data if shift is None else None,
+        from_file=from_file,
     )
 
 
@@ -143,7 +152,10 @@ def _bare(scan: Scan, reading: Reading, meanings: Sequence[Label]) -> Reading | 
         return None
     name = name_of(single_file(scan, SUFFIXES), scan.folder)
     note = f"{name}: {problem}: read as a bare mesh; a node for each object (chair_01, or model|category|part) would be taken by its name"
-    return bare_reading(reading.parts, Y_UP, (*reading.degradations, note), reading.license, name)
+    bare = bare_reading(reading.parts, Y_UP, (*reading.degradations, note), reading.license, name)
+    assert bare.from_file is not None
+    assert reading.from_file is not None
+    return dataclasses.replace(bare, from_file=bare.from_file @ Z_UP_TO_Y_UP @ reading.from_file)
 
 
 GLB = ScanFormat(

@@ -86,7 +86,7 @@ def _read(path: AnyPath) -> Any:
     """Positions [m], shape (n, 3), and triangles, shape (m, 3), of a mesh file, or what is wrong with it."""
     import trimesh
 
-    from tasks.capture.files.ply import check_counts
+    from tasks.capture.files.ply_header import check_counts
     from tasks.geometry.meshes import load_glb, surface_of
 
     kind = path.suffix.lower().lstrip(".")

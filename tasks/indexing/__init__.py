@@ -11,6 +11,7 @@ from pathlib import Path
 from schemas.indexing import IndexedLibrary, LibraryModel, RefusedModel
 from tasks.library.catalog import Catalog
 from tasks.library.entry import IndexEntry, dumped
+from tasks.library.formats import skipped_note
 from tasks.library.indexing import IndexConfig, ModelIndex, Shelf, index_folder
 from tasks.library.search import LibrarySearch
 from tasks.stage import Context, Outcome, Stage
@@ -29,13 +30,14 @@ class ModelsFolder:
 def run(*, models_folder: ModelsFolder, context: Context, config: IndexConfig) -> Outcome:
     """The models of a folder, and what was refused of it. Files that were indexed before on this machine are remembered by content."""
     catalog, shelf = models_folder.catalog, models_folder.shelf
+    notes = (*catalog.notes, *skipped_note(models_folder.folder))
     store, cut = context.caches["tasks.library.indexing"], context.caches["tasks.geometry.pieces"] if config.pieces else None
     index = index_folder(models_folder.folder, catalog, config, store, context.spread, shelf, cut)
     models = [model_row(context.scene_id, entry) for entry in index.entries]
     refused = [_refused_row(context.scene_id, file, reason) for file, reason in index.refused.items()]
     return Outcome(
-        libraries=[_library_row(context.scene_id, index, catalog.notes, shelf)], library_models=models, refused_models=refused,
-        degradations=catalog.notes,
+        libraries=[_library_row(context.scene_id, index, notes, shelf)], library_models=models, refused_models=refused,
+        degradations=notes,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from tasks.capture.files.documents import first_line, name_of, read_text
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
 from tasks.exports.habitat.library import ENDINGS, Library, Template, read_json, read_library
-from tasks.ingestion.models import material_files
+from tasks.ingestion.materials import material_files
 from tasks.ingestion.scene import Source
 from tasks.ingestion.values import LICENSES
 

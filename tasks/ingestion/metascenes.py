@@ -19,7 +19,8 @@ from tasks.capture.labels import Label, LabelMap
 from tasks.geometry.meshes import surface_of
 from tasks.geometry.transforms import translation
 from tasks.ingestion.floors import read_layout
-from tasks.ingestion.models import ENDINGS, material_files, read_model
+from tasks.ingestion.materials import material_files
+from tasks.ingestion.models import ENDINGS, read_model
 from tasks.ingestion.scene import Array, FinishedObject, FinishedScene, ImportedModel, Source, scaled_pose
 from tasks.ingestion.values import LICENSES, json_document
 

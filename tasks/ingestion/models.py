@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,13 +13,15 @@ import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import is_there, read_file, stays_in
+from schemas.files import read_file, stays_in
 from tasks.capture.files.documents import name_of, read_bytes
-from tasks.capture.files.ply import check_counts
+from tasks.capture.files.ply import read_ply_mesh
+from tasks.capture.files.survey import offset_error
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.gltf.plain import read_features
 from tasks.geometry.meshes import check_looks, load_glb
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
+from tasks.ingestion.materials import MATERIALS, Materials, decoded, read_materials, with_one_library
 
 if TYPE_CHECKING:
     import trimesh
@@ -29,10 +32,16 @@ ENDINGS = (".glb", ".obj", ".ply", ".stl")
 MAX_MODEL_BYTES, MAX_STAGE_BYTES = BUDGET.model_bytes, BUDGET.scene_bytes
 
 
-def read_model(path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYTES) -> tuple[list[trimesh.Trimesh], list[str]]:
+MAX_OFFSET = 1e6
+"""Objects of a dataset lie no farther from their origin [m]."""
+
+
+def read_model(
+    path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYTES, max_offset: float = MAX_OFFSET
+) -> tuple[list[trimesh.Trimesh], list[str]]:
     """Parts of a mesh file in a +Z-up frame [m], textures kept; and notes on missing materials and unused features, a line each.
 
-    is_z_up: Coordinates in the file have +Z up, else +Y up.
+    is_z_up: Coordinates in the file have +Z up, else +Y up. max_offset: Largest coordinate, in units of the file.
 
     Raises:
         InputError: the file lies outside `root`, is missing, too large, of another kind, or no usable mesh; or its
@@ -55,8 +64,11 @@ def read_model(path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYT
         parts, notes = _loaded(data, path, root, name, kind[1:])
         turn = None if is_z_up else Y_UP_TO_Z_UP
     for part in parts:
-        if not np.isfinite(part.vertices).all() or np.abs(part.vertices).max() > 1e6:
-            raise InputError(name, "vertices", "are not finite, or farther away than 1,000 km", "export it again, in metres")
+        if not np.isfinite(part.vertices).all():
+            raise InputError(name, "vertices", "are not finite", "export it again")
+        distance = float(np.abs(part.vertices).max())
+        if distance > max_offset:
+            raise offset_error(name, distance, max_offset)
         if turn is not None:
             part.apply_transform(turn)
     return parts, notes
@@ -87,15 +99,20 @@ def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[
     """Parts of an OBJ, PLY or STL, in its own frame."""
     import trimesh
 
-    resolver = _confined(path, root)
+    resolver, materials = None, None
     if kind == "ply":
-        check_counts(data, name)
+        ply = read_ply_mesh(path, name, is_in_metres=False)
+        return [ply.surface.to_trimesh()], list(ply.notes)
+    if kind == "obj":
+        data = decoded(data)
+        materials = read_materials(data, path, root)
+        if materials.outside:
+            raise InputError(name, "materials", f"name {materials.outside[0]!r}, outside the dataset's folder", "copy it in")
+        data, resolver = with_one_library(data), _confined(materials)
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=resolver, process=False)
     except Exception as error:  # the loader raises whatever the bytes lead it to
         raise InputError(name, "content", f"is no readable {kind.upper()} ({type(error).__name__}: {error})", "export it again") from error
-    if resolver.outside:
-        raise InputError(name, "materials", f"name {resolver.outside[0]!r}, outside the dataset's folder", "copy it in")
     check_looks(scene, name)
     parts = [mesh for _, mesh in sorted(scene.geometry.items()) if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not parts:
@@ -110,59 +127,55 @@ def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[
         uv = getattr(part.visual, "uv", None)
         if uv is not None and np.shape(uv)[1:] not in ((2,), (3,)):
             raise InputError(name, "texture coordinates", "have one number, not two", "export it again")
-    return parts, [f"{name}: {missing} is missing, drawn without it" for missing in resolver.missing]
+    if materials is None or resolver is None:
+        return parts, []
+    _move_coordinates(parts, materials)
+    return parts, [f"{name}: {note}" for note in (*materials.notes, *resolver.notes)]
 
 
-def material_files(path: Path, root: Path) -> list[Path]:
-    """Files that an OBJ's materials name, sorted, those that exist inside `root`; empty for other kinds."""
-    if path.suffix.lower() != ".obj" or not is_there(path):
-        return []
-    paths: set[Path] = set()
-    libraries = _named(path, rb"mtllib")
-    for library in (path.parent / name for name in libraries):
-        paths.add(library)
-        paths |= {library.parent / name for name in _named(library, rb"map_\w+|bump|disp|norm|refl")}
-    return sorted(file for file in paths if is_there(file) and stays_in(file, root))
+def _move_coordinates(parts: Sequence[trimesh.Trimesh], materials: Materials) -> None:
+    """Scale and shift texture coordinates as the materials state it."""
+    for part in parts:
+        visual: Any = part.visual
+        line = materials.moved.get(str(getattr(getattr(visual, "material", None), "name", "")))
+        if line is not None and getattr(visual, "uv", None) is not None:
+            uv = np.array(visual.uv, dtype=np.float64)
+            uv[:, :2] = uv[:, :2] * line.scale + line.offset
+            visual.uv = uv
 
 
-def _named(path: Path, keyword: bytes) -> list[str]:
-    """Files that lines of a text file name last, after a keyword."""
-    try:
-        lines = re.findall(rb"^[ \t]*(?:" + keyword + rb")[ \t]+([^\r\n]+)", read_file(path, path.name, MAX_MODEL_BYTES), re.MULTILINE)
-    except (InputError, ValueError):
-        return []
-    names = [name for line in lines if (name := line.decode("utf-8", "replace").strip())]
-    return [name for line in names for name in {line, line.split()[-1]} if "\0" not in name]
-
-
-def _confined(path: Path, root: Path) -> Any:
-    """A resolver that opens what lies beside a mesh and inside `root`, and remembers what it was asked for in vain."""
+def _confined(materials: Materials) -> Any:
+    """A resolver that gives the materials and the images found for them, and notes images that cannot be decoded."""
+    from PIL import Image
     from trimesh.resolvers import Resolver
 
     class Confined(Resolver):
-        def __init__(self, folder: Path) -> None:
-            self._folder = folder
-            self.outside: list[str] = []
-            self.missing: list[str] = []
+        def __init__(self) -> None:
+            self.notes: list[str] = []
 
         def get(self, name: str) -> bytes:
-            file = self._folder / name.strip()
-            if not stays_in(file, root):
-                self.outside.append(name)
+            if name.strip() == MATERIALS:
+                return materials.text
+            file = materials.images.get(name.strip())
+            if file is None:
                 raise FileNotFoundError(name)
             try:
-                return read_file(file, name, MAX_MODEL_BYTES)
-            except InputError:
-                self.missing.append(name)
+                data = read_file(file, file.name, MAX_MODEL_BYTES)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # sizes are checked where images are decoded
+                    Image.open(io.BytesIO(data))
+            except Exception:  # the decoder raises whatever the bytes lead it to
+                self.notes.append(f"{file.name} cannot be decoded, drawn without it")
                 raise FileNotFoundError(name) from None
+            return data
 
         def write(self, name: str, data: Any) -> None:
             raise PermissionError(name)
 
         def namespaced(self, namespace: str) -> Any:
-            return Confined(self._folder / namespace)
+            return self
 
         def keys(self) -> list[str]:
             return []
 
-    return Confined(path.parent)
+    return Confined()

@@ -13,20 +13,10 @@ from schemas.errors import InputError
 from schemas.files import read_file, stays_in
 from schemas.parsing import json_value
 from schemas.text import one_line
-from tasks.library.formats import FORMATS
+from tasks.library.formats import DRAWN_ON, FORMATS, INDEX, LICENSES
 from tasks.library.licenses import UNKNOWN, License, license_of
 from tasks.library.metadata import GZIP, Facts, ModelFacts, abo_facts, objaverse_facts, plain_facts
 from tasks.unpacking import gunzip
-
-INDEX = "index.json"
-LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")
-"""A folder's own files that say something of its models, the first license that has a line counts."""
-
-DRAWN_ON = (
-    ".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff", ".gif", ".ppm", ".pgm", ".dds", ".jp2", ".exr",
-    ".hdr",
-)  # fmt: skip
-"""Endings of files that models draw on, besides those of models: all under which somebody may keep a picture."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -23,7 +23,7 @@ class IndexEntry:
     """A model of a library.
 
     file: Path relative to the library, forward slashes. content: Hash of the file and all that it draws on, 64 hex digits.
-    format: glb, obj or usd. unit_m: Metres per unit of the file [m]; up, front: its axes; front is '' where nobody says. `*_known`: How,
+    format: As in `tasks.library.formats`. unit_m: Metres per unit [m]; up, front: its axes; front is '' where nobody says. `*_known`: How,
     `file`, `metadata`, `plausibility` or `assumed`. category_known: `lvis`, `tags`, `name`, `product_type`, `index` ... or `file name`.
     license: SPDX where there is one. extents: Of the canonical model along x, y, z [m]. descriptor, field: What it is found by.
     signature: What equal geometry has in common, shape (34,). image_vectors: Of pictures from around, shape (k, d), and text_vector: of

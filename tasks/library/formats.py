@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,22 @@ from schemas.errors import InputError
 from schemas.files import read_file, stays_in
 from tasks.library.format import MOST_FACES, ModelFormat, ReadModel
 from tasks.library.glb import GLB
+from tasks.library.gltf import GLTF
 from tasks.library.obj import OBJ
 from tasks.library.usd import USD
 
-FORMATS = (GLB, OBJ, USD)
+FORMATS = (GLB, GLTF, OBJ, USD)
 """All kinds of files that a library may hold."""
+
+INDEX = "index.json"
+LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")
+"""A folder's own files that state facts about its models; the first license that has a line counts."""
+
+DRAWN_ON = (
+    ".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff", ".gif", ".ppm", ".pgm", ".dds", ".jp2", ".exr",
+    ".hdr",
+)  # fmt: skip
+"""Endings of files that models draw on, besides those of models: all under which images are stored."""
 
 FARTHEST = 1e6
 """Coordinates beyond this, in whatever unit, have lost their millimetres."""
@@ -50,6 +62,23 @@ def model_files(folder: Path) -> tuple[list[Path], list[str]]:
             if path.is_symlink():
                 unused.append(f"{path.relative_to(folder).as_posix()}: is a link to a folder, which is not followed")
     return sorted(files), sorted(unused)
+
+
+def skipped_note(folder: Path) -> tuple[str, ...]:
+    """Line on the files below a folder that are neither models nor what models draw on, by ending; none without such files."""
+    endings: Counter[str] = Counter()
+    for place, _, names in os.walk(folder):
+        for name in names:
+            ending = Path(name).suffix.lower()
+            is_own = Path(place) == folder and name in (INDEX, *LICENSES)
+            if not is_own and not name.startswith(".") and ending not in DRAWN_ON and format_of(Path(name)) is None:
+                endings[ending or "no ending"] += 1
+    if not endings:
+        return ()
+    counts = ", ".join(f"{count} {ending}" for ending, count in sorted(endings.items(), key=lambda each: (-each[1], each[0])))
+    readable = ", ".join(ending for kind in FORMATS for ending in kind.endings)
+    line = f"skipped files that are not models: {counts}; convert models to one of {readable}"
+    return (line.encode("utf-8", "replace").decode(),)
 
 
 def _why(path: Path, folder: Path) -> str:
@@ -96,8 +125,12 @@ def check_model(model: ReadModel, name: str) -> None:
         vertices, corners = np.asarray(part.vertices), np.asarray(part.faces)
         if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
             raise InputError(name, "faces", "name vertices that are not there", "export it again")
-        if not np.isfinite(vertices).all() or np.abs(vertices).max(initial=0.0) > FARTHEST:
-            raise InputError(name, "vertices", f"are not finite, or farther than {FARTHEST:.0e} units away", "export it again")
+        if not np.isfinite(vertices).all():
+            raise InputError(name, "vertices", "are not finite", "export it again")
+        farthest = float(np.abs(vertices).max(initial=0.0))
+        if farthest > FARTHEST:
+            problem = f"are {farthest:,.0f} units from the origin (limit {FARTHEST:,.0f})"
+            raise InputError(name, "vertices", problem, "subtract the survey offset")
     if model.unit_m is not None and not (np.isfinite(model.unit_m) and 1e-6 <= model.unit_m <= 1e6):
         raise InputError(name, "unit", f"is {model.unit_m} m, which nobody measures in", "set metersPerUnit to 0.01 or 1")
 

@@ -29,7 +29,7 @@ from tasks.library.duplicates import marked, signature_of
 from tasks.library.embeddings import encoder_in
 from tasks.library.entry import IndexEntry, dumped, loaded
 from tasks.library.fields import field_of
-from tasks.library.formats import content_of, model_files, read_model
+from tasks.library.formats import content_of, model_files, read_model, skipped_note
 from tasks.library.metadata import ModelFacts
 from tasks.library.units import canonical_parts, convention_of
 from tasks.selection.methods.encoders import weights_digest
@@ -50,7 +50,7 @@ PITCHES_RADIANS = (0.35,)
 class IndexConfig(Config):
     """What an entry holds. The index depends on it: another config makes other entries."""
 
-    version: str = "3"  # goes up when the same file would make another entry
+    version: str = "4"  # goes up when the same file would make another entry
     views: Count = 8  # pictures that are embedded: quarters and what lies between, so that one comes near to any photograph
     pieces: bool = False  # convex pieces are cut now and remembered, up to 10 s a model; else when a scene first holds it
     weights: str = ""  # folder of CLIP or SigLIP; none ships, and without one entries have no vectors
@@ -236,8 +236,8 @@ def index_folder(
             entries.append(made)
     by_file = {entry.file: entry for entry in entries}
     done = marked(entries, lambda entry: _vertices(folder, by_file[entry.file], catalog))
-    notes = tuple(f"{entry.file}: {note}" for entry in done for note in entry.notes)
-    return ModelIndex(tuple(done), dict(sorted(refused.items())), notes)
+    notes = [f"{entry.file}: {note}" for entry in done for note in entry.notes]
+    return ModelIndex(tuple(done), dict(sorted(refused.items())), (*notes, *skipped_note(folder)))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,7 +7,9 @@ from pathlib import Path
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
+from tasks.capture.files.survey import MAX_SURVEY_OFFSET
 from tasks.ingestion import models
+from tasks.ingestion.materials import decoded, material_files
 from tasks.library.format import MOST_FACES, ModelFormat, ReadModel
 
 MOST_BYTES = 128 * 2**20
@@ -24,8 +26,8 @@ def _read(path: Path, root: Path) -> ReadModel:
         InputError: it is broken, has indices that are out of range or too many faces, or its materials lie outside of the folder.
     """
     name = path.relative_to(root).as_posix()
-    _weigh(read_file(path, name, MOST_BYTES), name)
-    parts, notes = models.read_model(path, root, is_z_up=True, limit=MOST_BYTES)
+    _weigh(decoded(read_file(path, name, MOST_BYTES)), name)
+    parts, notes = models.read_model(path, root, is_z_up=True, limit=MOST_BYTES, max_offset=MAX_SURVEY_OFFSET)
     return ReadModel(parts, OBJ.name, None, None, notes=tuple(notes))
 
 
@@ -59,4 +61,4 @@ def _weigh(data: bytes, name: str) -> None:
         raise InputError(name, "vertices", f"are {vertices}, more than {BUDGET.vertices}", "decimate it")
 
 
-OBJ = ModelFormat((".obj",), _read, models.material_files)
+OBJ = ModelFormat((".obj",), _read, material_files)

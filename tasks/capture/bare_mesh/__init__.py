@@ -12,11 +12,13 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.bare_mesh.upright import Y_UP, Stated, bare_reading
 from tasks.capture.files.documents import license_of, name_of
-from tasks.capture.files.ply import read_ply
+from tasks.capture.files.ply import read_ply_mesh
+from tasks.capture.files.survey import MAX_SURVEY_OFFSET
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
 from tasks.ingestion import models
+from tasks.ingestion.materials import material_files
 
 SUFFIXES = (".obj", ".ply", ".usdz", ".glb")
 """Of files that are read. GLBs are looked at as scenes of named objects first, unless this format is asked for by name."""
@@ -38,11 +40,12 @@ def read_mesh(scan: Scan) -> Reading:
     license = license_of(license_path(scan.folder, scan.premises))
     kind = path.suffix.lower()
     if kind == ".ply":
-        surface = read_ply(path, name, is_in_metres=False)
-        return bare_reading([surface.to_trimesh()], Stated(None, "z", "most of its kind"), (NO_FRAMES,), license, name)
+        ply = read_ply_mesh(path, name, is_in_metres=False)
+        stated = Stated(None, "z", "most of its kind")
+        return bare_reading([ply.surface.to_trimesh()], stated, (NO_FRAMES, *ply.notes), license, name)
     try:
         if kind == ".glb":
-            parts, notes = models.read_model(path, root, is_z_up=False, limit=BUDGET.scene_bytes)
+            parts, notes = models.read_model(path, root, is_z_up=False, limit=BUDGET.scene_bytes, max_offset=MAX_SURVEY_OFFSET)
             return bare_reading(parts, Y_UP, (NO_FRAMES, *notes), license, name)
         model = (OBJ if kind == ".obj" else USD).read(path, root)
     except InputError as error:
@@ -57,7 +60,7 @@ def _recognize(folder: Path) -> str | None:
 
 def _files(scan: Scan, premises: Premises) -> list[Path]:
     path = single_file(scan, SUFFIXES)
-    return [path, *(file for file in models.material_files(path, path.parent) if premises.admits(file))]
+    return [path, *(file for file in material_files(path, path.parent) if premises.admits(file))]
 
 
 BARE_MESH = ScanFormat(

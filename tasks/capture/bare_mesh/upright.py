@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.files.ply import check_vertices
+from tasks.capture.files.survey import shift_note, survey_shift
 from tasks.capture.instances.resolution import is_uneven
 from tasks.capture.reading import Reading
 from tasks.geometry.meshes import Surface, surface_of
-from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
+from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP, translation
 from tasks.geometry.triangles import face_areas, face_normals, welded
 
 if TYPE_CHECKING:
@@ -70,8 +71,14 @@ def bare_reading(parts: Sequence[trimesh.Trimesh], stated: Stated, notes: Sequen
     turn, up_note = _upright(surface, stated)
     unit, unit_note = _unit(surface, turn, stated.unit_m)
     change = np.diag([unit, unit, unit, 1.0]) @ turn
-    first, place = welded(surface.vertices @ change[:3, :3].T)  # seams of textures split vertices, and some formats every corner
-    surface = Surface((surface.vertices @ change[:3, :3].T)[first], place[surface.faces], surface.colors[first])
+    vertices = surface.vertices @ change[:3, :3].T
+    # Doubles are moved here: whatever follows may make floats.
+    shift = survey_shift(vertices, name)
+    if shift is not None:
+        change, vertices = translation(shift) @ change, vertices + shift
+        notes = (*notes, shift_note(shift, name))
+    first, place = welded(vertices)  # seams of textures split vertices, and some formats every corner
+    surface = Surface(vertices[first], place[surface.faces], surface.colors[first])
     check_vertices(surface.vertices, name)
     is_dense = not is_uneven(surface)
     moved: list[trimesh.Trimesh] = []

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.files.documents import read_bytes
-from tasks.capture.files.ply import AGAIN, PlyElement, check_counts, check_vertices, header
+from tasks.capture.files.ply import check_vertices
+from tasks.capture.files.ply_header import AGAIN, PlyElement, check_counts, header
 from tasks.geometry.meshes import Surface
 
 Column = NDArray[np.generic]

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.files.documents import read_bytes
-from tasks.capture.files.ply import AGAIN, check_vertices
+from tasks.capture.files.ply import check_vertices
+from tasks.capture.files.ply_header import AGAIN
 from tasks.geometry.meshes import Surface, sample_texture
 
 GRAY = 180

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,21 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
+from schemas.files import open_file, read_file
 from tasks.capture.files.documents import read_bytes
+from tasks.capture.files.named import Folders
+from tasks.capture.files.ply_elements import (
+    GRAY,
+    as_bytes,
+    color_names,
+    has_face_colors,
+    index_column,
+    read_elements,
+    triangles_of,
+    vertex_colors_of,
+)
+from tasks.capture.files.ply_header import AGAIN, PlyElement, check_counts, header
+from tasks.capture.files.survey import offset_error
 from tasks.geometry.meshes import Surface
 
 MAX_EXTENT_M = 200.0
@@ -20,28 +36,24 @@ MAX_EXTENT_M = 200.0
 MAX_OFFSET_M = 10_000.0
 """Scans may lie away from their origin, but float32 keeps millimetres only up to about ten kilometres."""
 
-_TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
-    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
-}  # fmt: skip
-
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
-
-AGAIN = "copy or export the mesh again"
-
 
 @dataclasses.dataclass(frozen=True)
-class PlyElement:
-    """An element of the header: its fields as (name, dtype), a list field as (name, count dtype, item dtype)."""
+class ReadPly:
+    """A mesh and the losses of its reading, a line each."""
 
-    name: str
-    count: int
-    fields: tuple[tuple[str, ...], ...]
+    surface: Surface
+    notes: tuple[str, ...] = ()
 
 
 def read_ply(path: Path, name: str, is_in_metres: bool = True) -> Surface:
-    """The triangles of a PLY, with vertex colors (grey where it has none), in the file's frame and unit. is_in_metres: Its unit is the
-    metre, and it is held against the size of a scan.
+    """The triangles of a PLY; see `read_ply_mesh`."""
+    return read_ply_mesh(path, name, is_in_metres).surface
+
+
+def read_ply_mesh(path: Path, name: str, is_in_metres: bool = True) -> ReadPly:
+    """The triangles of a PLY in the file's frame and unit, with colors of its image, vertices, corners or faces, otherwise gray.
+
+    is_in_metres: True if the unit is the metre; the size is checked then.
 
     Raises:
         InputError: truncated, no triangles, too many faces, coordinates that are not finite or not in metres,
@@ -55,9 +67,11 @@ def read_ply(path: Path, name: str, is_in_metres: bool = True) -> Surface:
         raise InputError(name, "element vertex", f"has {counts.get('vertex', 0)} vertices, a mesh needs 3", AGAIN)
     if counts.get("face", 0) < 1:
         raise InputError(name, "element face", "the mesh has no faces", "export the scan as a triangle mesh")
-    columns = _binary(data, start, order, elements, name)
+    images = texture_names(data)
+    columns = None if images else _binary(data, start, order, elements, name)
+    notes: tuple[str, ...] = ()
     if columns is None:
-        columns = _by_library(data, name)
+        columns, notes = _any_kind(data, start, order, elements, path, name)
     vertices, faces, colors = columns
     if is_in_metres:
         check_vertices(vertices, name)
@@ -65,15 +79,24 @@ def read_ply(path: Path, name: str, is_in_metres: bool = True) -> Surface:
     if bad.any():
         row = int(np.flatnonzero(bad.any(axis=1))[0])
         raise InputError(name, f"face {row}", f"names a vertex that does not exist, of {len(vertices)}", AGAIN)
-    return Surface(vertices, faces, colors)
+    return ReadPly(Surface(vertices, faces, colors), notes)
 
 
-def check_counts(data: bytes, name: str) -> None:
-    """Raise InputError when a PLY declares more of anything than the budget has, or its header cannot be read."""
-    for element in header(data, name)[1]:
-        most = BUDGET.faces if element.name == "face" else BUDGET.vertices
-        if element.count > most:
-            raise InputError(name, f"element {element.name}", f"declares {element.count}, more than {most}", "decimate the mesh")
+def texture_names(data: bytes) -> list[str]:
+    """Images that comments of a header name, in their order."""
+    head = data[: max(data.find(b"end_header", 0, 65536), 0)].decode("utf-8", "replace")
+    return [match[1].strip() for match in re.finditer(r"(?im)^comment[ \t]+TextureFile[ \t]*[:=]?[ \t]*([^\r\n]+)", head)]
+
+
+def texture_files(path: Path, root: Path) -> list[Path]:
+    """Images inside `root` that a PLY names, sorted; empty for files without a header."""
+    try:
+        with open_file(path, path.name, BUDGET.scene_bytes) as file:
+            names = texture_names(file.read(65536))
+    except (InputError, OSError):
+        return []
+    folders = Folders(root)
+    return sorted({file for name in names if (file := folders.find((name,), path.parent, path.parent)) is not None})
 
 
 def check_vertices(vertices: NDArray[np.float64], name: str) -> None:
@@ -85,44 +108,14 @@ def check_vertices(vertices: NDArray[np.float64], name: str) -> None:
         raise InputError(name, f"vertex {row}", f"{'xyz'[axis]} is {vertices[row, axis]} ({count} such vertices)", AGAIN)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent = float((high - low).max())
-    if extent > MAX_EXTENT_M or max(-low.min(), high.max()) > MAX_OFFSET_M:
+    offset = float(np.abs(low / 2 + high / 2).max())
+    if extent <= MAX_EXTENT_M and offset > MAX_OFFSET_M:
+        raise offset_error(name, offset, MAX_OFFSET_M)
+    if extent > MAX_EXTENT_M:
         remedy = "scale the mesh to metres, or remove stray vertices"
         raise InputError(name, "vertex", f"spans {extent:.4g} m, more than {MAX_EXTENT_M:g}", remedy)
     if extent < 0.1:
         raise InputError(name, "vertex", f"spans {extent:.4g} m, less than any room", "scale the mesh to metres")
-
-
-def header(data: bytes, name: str) -> tuple[str, list[PlyElement], int]:
-    """Byte order ('' for text), elements, and where the content begins."""
-    end = data.find(b"end_header", 0, 65536)
-    newline = data.find(b"\n", end)
-    if not data.startswith(b"ply") or end < 0 or newline < 0:
-        raise InputError(name, "header", "is no PLY, or cut inside its header", AGAIN)
-    order: str | None = None
-    elements: list[PlyElement] = []
-    for line in data[:end].decode("latin-1").splitlines():
-        words = line.split()
-        if not words or words[0] in ("ply", "comment", "obj_info"):
-            continue
-        if words[0] == "format" and len(words) >= 2 and words[1] in _ORDERS:
-            order = _ORDERS[words[1]]
-        elif words[0] == "element" and len(words) == 3 and words[2].isascii() and words[2].isdigit() and len(words[2]) < 19:
-            elements.append(PlyElement(words[1], int(words[2]), ()))
-        elif words[0] == "property" and elements and (field := _property(words)) is not None:
-            elements[-1] = dataclasses.replace(elements[-1], fields=(*elements[-1].fields, field))
-        else:
-            raise InputError(name, "header", f"line {line.strip()[:60]!r} is not understood", AGAIN)
-    if order is None:
-        raise InputError(name, "header", "states no known format", AGAIN)
-    return order, elements, newline + 1
-
-
-def _property(words: list[str]) -> tuple[str, ...] | None:
-    if len(words) == 3 and words[1] in _TYPES:
-        return (words[2], _TYPES[words[1]])
-    if len(words) == 5 and words[1] == "list" and words[2] in _TYPES and words[3] in _TYPES:
-        return (words[4], _TYPES[words[2]], _TYPES[words[3]])
-    return None
 
 
 def _binary(
@@ -161,6 +154,8 @@ def _binary(
             wanted = [i for i in lists if element.fields[i][0] in ("vertex_indices", "vertex_index")]
             if len(lists) != 1 or len(wanted) != 1 or not (rows[f"count{lists[0]}"] == 3).all():
                 return None
+            if has_face_colors(element.fields):
+                return None
             faces = rows[f"items{wanted[0]}"].astype(np.int64)
         elif element.name == "vertex":
             vertices = (rows, element)
@@ -186,31 +181,72 @@ def _coordinates(rows: NDArray[np.void], places: dict[str, str], name: str) -> N
 
 
 def _colors(rows: NDArray[np.void], places: dict[str, str]) -> NDArray[np.uint8]:
-    channels = ("red", "green", "blue")
-    if not all(channel in places for channel in channels):
-        return np.full((len(rows), 3), 180, dtype=np.uint8)
-    values = np.stack([rows[places[channel]] for channel in channels], axis=1)
-    if values.dtype.kind == "f":
-        values = np.clip(np.nan_to_num(values), 0, 1) * 255
-    return np.clip(values, 0, 255).astype(np.uint8)
+    names = color_names(places)
+    if names is None:
+        return np.full((len(rows), 3), GRAY, dtype=np.uint8)
+    values = np.stack([rows[places[channel]] for channel in names], axis=1)
+    return as_bytes(values, rows[places[names[0]]].dtype.str[1:])
 
 
-def _by_library(data: bytes, name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]:
-    """Text, polygons and unusual properties: left to trimesh, which triangulates them."""
-    import trimesh
+_Mesh = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]
 
-    from tasks.geometry.meshes import vertex_colors
 
+def _any_kind(data: bytes, start: int, order: str, elements: list[PlyElement], path: Path, name: str) -> tuple[_Mesh, tuple[str, ...]]:
+    """Vertices, triangles and colors of a PLY of any kind, and losses: text, polygons, images, colors of faces or corners."""
     try:
-        mesh = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
-        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-            raise InputError(name, "element face", "the mesh has no triangles", "export the scan as a triangle mesh")
-        vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-        colors = vertex_colors(mesh)
-    except InputError:
-        raise
-    except Exception as error:  # the loader raises whatever the bytes lead it to
-        raise InputError(name, "content", f"is cut or broken ({type(error).__name__}: {str(error)[:120]})", AGAIN) from error
-    if len(colors) != len(vertices):
-        colors = np.full((len(vertices), 3), 180, dtype=np.uint8)
-    return vertices, faces, colors
+        content = read_elements(data, start, order, elements)
+    except (ValueError, OverflowError) as error:
+        raise InputError(name, "content", f"is cut or broken ({str(error)[:120]})", AGAIN) from error
+    vertex = content.get("vertex", {})
+    missing = [axis for axis in "xyz" if axis not in vertex or vertex[axis].counts is not None]
+    if missing:
+        raise InputError(name, "element vertex", f"has no property {missing[0]}", AGAIN)
+    indices = index_column(content.get("face", {}))
+    if indices is None:
+        raise InputError(name, "element face", "has no list of vertices", "export the scan as a triangle mesh")
+    triangles = triangles_of(indices)
+    if not len(triangles.faces):
+        raise InputError(name, "element face", "the mesh has no triangles", "export the scan as a triangle mesh")
+    if len(triangles.faces) > BUDGET.faces:
+        raise InputError(name, "element face", f"has {len(triangles.faces)} triangles, more than {BUDGET.faces}", "decimate the mesh")
+    with np.errstate(invalid="ignore"):  # a signaling NaN is not a number, and is reported as one
+        vertices = np.stack([vertex[axis].values for axis in "xyz"], axis=1).astype(np.float64)
+    outside = (triangles.faces < 0) | (triangles.faces >= len(vertices))
+    if outside.any():
+        row = int(triangles.owner[np.flatnonzero(outside.any(axis=1))[0]])
+        raise InputError(name, f"face {row}", f"names a vertex that does not exist, of {len(vertices)}", AGAIN)
+    images = PlyImages(path, texture_names(data))
+    colors = vertex_colors_of(content, len(vertices), triangles, images.read)
+    return (vertices, triangles.faces, colors), tuple(images.notes)
+
+
+class PlyImages:
+    """Images that a PLY names, read from its folder.
+
+    notes: Images that are missing or cannot be decoded, a line each.
+    """
+
+    def __init__(self, path: Path, names: list[str]) -> None:
+        self._path, self._names = path, names
+        self.notes: list[str] = []
+
+    def read(self, number: int) -> NDArray[np.uint8] | None:
+        """Pixels of an image by its number, shape (h, w, 3); None for one that is not there."""
+        from PIL import Image
+
+        if not 0 <= number < len(self._names):
+            return None
+        file = Folders(self._path.parent).find((self._names[number],), self._path.parent, self._path.parent)
+        if file is None:
+            self.notes.append(f"{self._path.name}: {self._names[number]} is missing, drawn without it")
+            return None
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the size is checked below
+                image = Image.open(io.BytesIO(read_file(file, file.name, BUDGET.image_bytes)))
+                if image.size[0] * image.size[1] > BUDGET.pixels:
+                    raise ValueError(f"more than {BUDGET.pixels} pixels")
+                return np.asarray(image.convert("RGB"))
+        except Exception:  # the decoder raises whatever the bytes lead it to
+            self.notes.append(f"{self._path.name}: {file.name} cannot be decoded, drawn without it")
+            return None

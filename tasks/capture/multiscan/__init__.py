@@ -18,7 +18,8 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.files.documents import integers, license_of, name_of, plain_text, read_bytes, read_json
 from tasks.capture.files.labelled_ply import read_labelled_ply
-from tasks.capture.files.ply import header, read_ply
+from tasks.capture.files.ply import read_ply
+from tasks.capture.files.ply_header import header
 from tasks.capture.multiscan.annotation import AnnotatedObject, objects_of, upright
 from tasks.capture.multiscan.boxes import box_surfaces
 from tasks.capture.premises import Premises
