@@ -439,14 +439,14 @@ def test_a_folder_that_holds_no_dataset_is_misuse(kind: str, make: Callable[[Pat
 
 @pytest.mark.whole
 def test_the_command_says_what_it_did_and_which_scenes_failed(dataset: Path, tmp_path: Path) -> None:
-    placed(lambda one: one.update(rotation=[1, 0, 0]))(dataset)
+    edit(scene_file(dataset, SECOND), lambda document: document.pop("stage_instance"))
     options = ["--dataset", "other", "--workers", "1", "--lake", str(tmp_path / "lake")]
     command = [sys.executable, "-m", "flows.cli", "import", "habitat", str(dataset), *options]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 1
     assert done.stdout.strip() == "other: 1 scene imported (2 objects), 0 unchanged, 1 failed"
     (line,) = done.stderr.strip().splitlines()
-    assert "object_instances[0].rotation" in line
+    assert "stage_instance: is missing" in line
     done = subprocess.run([*command, "--json"], capture_output=True, text=True)
     assert done.returncode == 1
     said = json.loads(done.stdout)
