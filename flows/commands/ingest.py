@@ -23,7 +23,7 @@ _import_options = grouped(
     workers_option,
     lake_option,
     click.option("--dataset", required=True, metavar="NAME", help="Name of the dataset in the lake; scenes are <name>/<scan>."),
-    click.argument("folder", metavar="PATH", type=click.Path(path_type=Path, file_okay=False)),
+    click.argument("folder", metavar="PATH", type=click.Path(path_type=Path)),
 )
 """What imports of all layouts take."""
 
@@ -38,16 +38,18 @@ def command() -> None:
 
 @command.command("habitat", short_help="Import a Habitat scene dataset.")
 @_import_options
+@click.option("--config", metavar="NAME", help="Scene dataset config, where the folder has several.")
 def import_habitat(
-    folder: Path, dataset: str, address: str, workers: int, seed: int, retry_failed: bool, dry_run: bool, as_json: bool
+    folder: Path, dataset: str, address: str, workers: int, seed: int, retry_failed: bool, dry_run: bool, as_json: bool, config: str | None
 ) -> None:
     """Import a Habitat scene dataset: its scene instances, objects, categories, navmeshes.
 
-    PATH is the folder with the one *.scene_dataset_config.json. Importing it again takes in what changed, and nothing else.
+    PATH is a *.scene_dataset_config.json, its folder, or a folder above. Where there are several configs, choose one with --config.
+    Importing a dataset again takes in what changed, and nothing else.
 
-    Example: metascenes import habitat ./hssd-hab --dataset hssd --lake ./lake
+    Example: metascenes import habitat ./hssd-hab --config hssd-hab-uncluttered --dataset hssd --lake ./lake
     """
-    _run("habitat", folder, dataset, address, None, workers, seed, retry_failed, dry_run, as_json)
+    _run("habitat", folder, dataset, address, None, config, workers, seed, retry_failed, dry_run, as_json)
 
 
 @command.command("metascenes", short_help="Import the released MetaScenes layout.")
@@ -63,18 +65,27 @@ def import_metascenes(
 
     Example: metascenes import metascenes ./MetaScenes --dataset metascenes --labels ./instance_id_to_name --lake ./lake
     """
-    _run("metascenes", folder, dataset, address, labels, workers, seed, retry_failed, dry_run, as_json)
+    _run("metascenes", folder, dataset, address, labels, None, workers, seed, retry_failed, dry_run, as_json)
 
 
 def _run(
-    kind: Kind, folder: Path, dataset: str, address: str, labels: Path | None, workers: int, seed: int, retry_failed: bool, dry_run: bool,
-    as_json: bool,
+    kind: Kind, folder: Path, dataset: str, address: str, labels: Path | None, config: str | None, workers: int, seed: int,
+    retry_failed: bool, dry_run: bool, as_json: bool,
 ) -> None:  # fmt: skip
     from flows.inputs.ingestion import import_dataset
     from warehouse.lake import Lake
 
     result = import_dataset(
-        Lake.open(address), kind, folder, dataset, labels=labels, seed=seed, workers=workers, dry_run=dry_run, retry_failed=retry_failed
+        Lake.open(address),
+        kind,
+        folder,
+        dataset,
+        labels=labels,
+        config=config,
+        seed=seed,
+        workers=workers,
+        dry_run=dry_run,
+        retry_failed=retry_failed,
     )
     print(json.dumps(_as_json(result, dry_run)) if as_json else _as_text(result, dry_run))
     end_with_failures({} if as_json else {scene.scene_id: scene.error for scene in result.failed}, bool(result.failed))

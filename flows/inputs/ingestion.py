@@ -96,7 +96,8 @@ class _Job:
 
 def import_dataset(
     lake: Lake, kind: Kind, folder: Path, dataset: str, *,
-    labels: Path | None = None, seed: int = 0, workers: int = 1, dry_run: bool = False, retry_failed: bool = False,
+    labels: Path | None = None, config: str | None = None, seed: int = 0, workers: int = 1, dry_run: bool = False,
+    retry_failed: bool = False,
 ) -> DatasetImport:  # fmt: skip
     """Import a finished dataset under a name. Scenes of it that are no longer in the folder stay in the lake.
 
@@ -105,14 +106,14 @@ def import_dataset(
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", dataset):
         raise InputError("--dataset", dataset, "is no name for a dataset", "use up to 64 letters, digits, and _ . - after the first")
-    sources = find_sources(kind, folder, dataset, labels)
+    sources = find_sources(kind, folder, dataset, labels, config)
     history = lake.history()
     _check_name(history, sources, dataset)
-    config, hashes, code = IngestionConfig(), FileHashes(), code_fingerprint("tasks.ingestion.reading")
+    reading, hashes, code = IngestionConfig(), FileHashes(), code_fingerprint("tasks.ingestion.reading")
     jobs: list[_Job] = []
     imports: dict[str, SceneImport] = {}
     for source in sources:
-        job = _Job(lake.address, source, config, seed, _content(source, hashes), code, 1)
+        job = _Job(lake.address, source, reading, seed, _content(source, hashes), code, 1)
         state = history.get((source.scene_id, "capture"))
         plan = _plan(state, job, retry_failed)
         imports[source.scene_id] = plan

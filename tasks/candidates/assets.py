@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -115,14 +115,6 @@ def make_asset(
         face_count=len(surface.faces),
     )
     return MadeAsset(asset, files)
-
-
-def has_image(part: trimesh.Trimesh) -> bool:
-    """True if a part is drawn with an image that was read."""
-    visual = cast(Any, part.visual)
-    if getattr(visual, "kind", None) != "texture" or visual.uv is None or len(visual.uv) != len(part.vertices):
-        return False
-    return getattr(visual.material, "baseColorTexture", None) is not None or getattr(visual.material, "image", None) is not None
 
 
 def _volumes(bodies: Sequence[PlainBody]) -> list[float]:

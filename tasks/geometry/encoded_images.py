@@ -47,8 +47,10 @@ def textures(part: Any, of_any_kind: bool = False) -> list[tuple[Any, str, Any]]
 
 
 def has_image(part: Any) -> bool:
-    """True if a part shows an image, rather than the color of its material or its vertices."""
-    return any(name in ("baseColorTexture", "image") for _, name, _ in textures(part))
+    """True if a part shows an image that was read, rather than the color of its material or its vertices."""
+    uv = getattr(part.visual, "uv", None)
+    has_coordinates = uv is not None and len(uv) == len(part.vertices)
+    return has_coordinates and any(name in ("baseColorTexture", "image") for _, name, _ in textures(part))
 
 
 def keep_encoded(part: Any) -> None:

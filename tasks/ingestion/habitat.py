@@ -14,7 +14,18 @@ from tasks.capture.labels import NYU40, Label, LabelMap
 from tasks.geometry.meshes import parse_node_name
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, pose_from_quaternion_wxyz, to_z_up, transform_points, translation
 from tasks.ingestion.models import MAX_STAGE_BYTES, is_convex, read_model
-from tasks.ingestion.scene import Array, FinishedObject, FinishedScene, ImportedModel, Physics, Source, scaled_pose
+from tasks.ingestion.scene import (
+    MIRROR,
+    Array,
+    FinishedObject,
+    FinishedScene,
+    ImportedModel,
+    Physics,
+    Source,
+    is_mirrored,
+    mirrored_model,
+    scaled_pose,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     import trimesh
@@ -42,28 +53,39 @@ def read_habitat(source: Source, labels: LabelMap) -> FinishedScene:
     notes = list(about["notes"])
     stage = _stage(source, labels, notes)
     models: dict[str, ImportedModel | None] = {}
+    mirrored: dict[str, ImportedModel] = {}
     objects: list[FinishedObject] = []
-    names = _instance_ids(scene.get("object_instances", []))
-    for index, placed in enumerate(scene.get("object_instances", [])):
+    names = _instance_ids(scene.get("object_instances") or [])
+    for index, placed in enumerate(scene.get("object_instances") or []):
         field = f"object_instances[{index}]"
-        template = about["templates"][placed["template_name"]]
+        template = about["templates"].get(placed.get("template_name"))
+        if template is None:  # left out when the scene was found, with a note
+            continue
         facts = _user_defined(placed)
         key = f"{template['handle']}|{_about_asset(facts)}"
-        if key not in models:
-            models[key] = _model(source, template, facts, notes)
-        model = models[key]
-        if model is None:
-            notes.append(f"{file}: {field}: {template['values'].get('render_asset', 'nothing')!r} is no mesh file: left out")
+        try:
+            if key not in models:
+                models[key] = None  # the next object of a broken mesh does not read it again
+                models[key] = _model(source, template, facts, notes)
+            model = models[key]
+            if model is None:
+                asset = template["values"].get("render_asset", "nothing")
+                notes.append(f"{file}: {field}: {asset!r} has no mesh that can be read: left out")
+                continue
+            pose, scale, is_mirror_image = _pose(placed, template, model, scene.get("translation_origin"), file, field)
+            physics = _physics(placed, template["values"], scale, str(template["file"]))
+        except InputError as error:
+            notes.append(f"{error}: {field} is left out")
             continue
-        pose, scale = _pose(placed, template, model, scene.get("translation_origin"), file, field)
+        if is_mirror_image:
+            model = mirrored[key] = mirrored.get(key) or mirrored_model(model)
         raw, label = _label(facts, template, labels)
         if not label.is_known:
             notes.append(f"{file}: {field}: {raw or template['handle']!r} is not in the label map, nyu40 class {label.nyu40_id}")
-        physics = _physics(placed, template["values"], scale, str(template["file"]))
         objects.append(
             FinishedObject(names[index], template["handle"], raw, label, model, pose, scale, physics=physics)
         )  # fmt: skip
-    own = scene.get("user_defined", {})
+    own = scene.get("user_defined") or {}
     stated = own.get("license")
     return FinishedScene(
         objects=tuple(objects),
@@ -167,7 +189,7 @@ def _axes(template: Mapping[str, Any], up: Sequence[float], front: Sequence[floa
 
 
 def _placed(placed: Mapping[str, Any], values: Mapping[str, Any], file: str, field: str) -> tuple[Array, Array]:
-    """Pose, 4x4, and scale, shape (3,), of what a scene places, both in Habitat's frame."""
+    """Pose, 4x4, and scale, shape (3,), of what a scene places, both in Habitat's frame; a negative scale mirrors."""
     offset = placed.get("translation", [0, 0, 0])
     turn = placed.get("rotation", [1, 0, 0, 0])
     if len(offset) != 3:
@@ -178,23 +200,26 @@ def _placed(placed: Mapping[str, Any], values: Mapping[str, Any], file: str, fie
         raise InputError(file, f"{field}.rotation", "has length 0", "give a quaternion w, x, y, z of length 1")
     uniform = float(placed.get("uniform_scale", 1.0)) * float(values.get("units_to_meters", 1.0))
     scale = uniform * np.asarray(placed.get("non_uniform_scale", [1, 1, 1]), float) * np.asarray(values.get("scale", [1, 1, 1]), float)
-    if not (scale > 1e-3).all() or not (scale < 1e4).all():
-        raise InputError(file, f"{field} scale", f"is {', '.join(f'{s:.4g}' for s in scale)} in all", "must lie between 0.001 and 10,000")
+    if not (np.abs(scale) > 1e-3).all() or not (np.abs(scale) < 1e4).all():
+        text = ", ".join(f"{factor:.4g}" for factor in scale)
+        raise InputError(file, f"{field} scale", f"is {text} in all", "must lie between 0.001 and 10,000, or mirrored")
     return pose_from_quaternion_wxyz(turn, offset), scale
 
 
 def _pose(
     placed: Mapping[str, Any], template: Mapping[str, Any], model: ImportedModel, origin: Any, file: str, field: str
-) -> tuple[Array, Array]:  # fmt: skip
-    """Pose and scale of an object in the world frame, of the model as it stands upright."""
+) -> tuple[Array, Array, bool]:  # fmt: skip
+    """Pose and scale of an object in the world frame, of the upright model; True if they are those of its mirror image."""
     pose, scale = _placed(placed, template["values"], file, field)
     stated = placed.get("translation_origin") or origin or "com"
     if str(stated).lower() not in ("asset_local", "com"):
         raise InputError(file, f"{field}.translation_origin", f"is {stated!r}", "use asset_local or COM")
     if str(stated).lower() == "com":
         pose = pose @ translation(-_center(template, model) * scale)
-    world, stretch = scaled_pose(to_z_up(pose @ np.diag([*scale, 1.0])), file, field)
-    return world, stretch
+    matrix = to_z_up(pose @ np.diag([*scale, 1.0]))
+    is_mirror_image = is_mirrored(matrix)
+    world, stretch = scaled_pose(matrix @ MIRROR if is_mirror_image else matrix, file, field)
+    return world, stretch, is_mirror_image
 
 
 def _center(template: Mapping[str, Any], model: ImportedModel) -> Array:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import csv
 import glob
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from schemas.errors import InputError
 from schemas.files import is_there, stays_in
+from schemas.wording import counted
 from tasks.capture.files.documents import first_line, name_of, read_text
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
-from tasks.exports.habitat.library import ENDINGS, Library, Template, read_json, read_library
+from tasks.exports.habitat.library import CONFIG_ENDING, ENDINGS, Library, Template, read_library, read_parts
 from tasks.ingestion.materials import material_files
 from tasks.ingestion.scene import Source
 from tasks.ingestion.values import LICENSES
@@ -23,49 +24,91 @@ _IDS = ("id", "handle", "object_id", "template_name", "name")
 _CATEGORIES = ("clean_category", "main_category", "category", "super_category", "type")
 """Columns of the category tables in use (HSSD's `object_categories_filtered.csv` and `fpmodels-with-decomposed.csv`)."""
 
+MAX_LISTED_CONFIGS = 20
+"""Configs that an error lists: a line of a terminal stays readable."""
 
-def habitat_scenes(root: Path, dataset: str) -> list[Source]:
-    """Every scene of the dataset in `root`, sorted by scene id; a scene that cannot be read says why.
+
+def dataset_config(path: Path, name: str | None = None) -> Path:
+    """The scene dataset config of a dataset.
+
+    Args:
+        path: config file, folder of the dataset, or a folder above exactly one config.
+        name: file name or path of the config below the folder, with or without its ending; default: the only one.
 
     Raises:
-        InputError: the folder has no scene dataset config, or several, or one that cannot be read.
+        InputError: there is no such config, or several; lists them.
     """
-    library = read_library(root)
-    if not library.config:
-        raise InputError(root.name, "*.scene_dataset_config.json", "there is none", "name the folder of a Habitat scene dataset")
-    broken = [
-        finding
-        for finding in library.findings
-        if finding.rule in ("json", "shape", "dataset_config") and finding.where.split()[0] == library.config
-    ]
-    broken += [finding for finding in library.findings if finding.where == "."]
-    if broken:
-        where = library.config if broken[0].where == "." else broken[0].where
-        raise InputError(where, broken[0].rule, broken[0].message, "`metascenes doctor habitat` lists all that is wrong")
-    facts = _Facts(library, _lexicons(library), _categories(root), _license(root))
+    if path.is_file():
+        if path.name.endswith(CONFIG_ENDING) and name is None:
+            return path
+        field, problem = ("--config", "is not needed") if name is not None else ("file name", f"does not end in {CONFIG_ENDING}")
+        raise InputError(path.name, field, problem, "name a scene dataset config or its folder")
+    levels = [sorted(path.glob(f"{above}*{CONFIG_ENDING}")) for above in ("", "*/", "*/*/")]
+    configs = [config for level in levels for config in level if config.is_file()]
+    names = [config.relative_to(path).as_posix().removesuffix(CONFIG_ENDING) for config in configs]
+    listed = ", ".join(names[:MAX_LISTED_CONFIGS]) + (", ..." if len(names) > MAX_LISTED_CONFIGS else "")
+    if name is not None:
+        wanted = PurePosixPath(name).as_posix().removesuffix(CONFIG_ENDING)
+        named = [config for config, own in zip(configs, names, strict=True) if own == wanted]
+        named = named or [config for config, own in zip(configs, names, strict=True) if PurePosixPath(own).name == wanted]
+    else:
+        named = next((level for level in levels if level), [])
+    if len(named) == 1:
+        return named[0]
+    field = f"--config {name}" if name is not None else f"*{CONFIG_ENDING}"
+    if not configs:
+        raise InputError(path.name, field, "there is none", "name the folder of a Habitat scene dataset")
+    if not named:
+        raise InputError(path.name, field, f"there is none; the folder has {listed}", f"use --config {names[0]}")
+    first = named[0].relative_to(path).as_posix().removesuffix(CONFIG_ENDING)
+    raise InputError(path.name, field, f"there are {len(named)}: {listed}", f"choose one, for example --config {first}")
+
+
+def habitat_scenes(root: Path, dataset: str, config: str | None = None) -> list[Source]:
+    """Every scene of the dataset in `root`, sorted by scene id; a scene that cannot be read says why.
+
+    config: File name of the scene dataset config; by default, the only one.
+
+    Raises:
+        InputError: the folder has no scene dataset config, or several, or one that cannot be read or lists no scene.
+    """
+    library = read_library(root, config or dataset_config(root).name)
+    own = [finding for finding in library.findings if finding.where.split(" ")[0] == library.config]
+    notes = [_text(finding) for finding in library.findings if finding in own or finding.where.endswith(ENDINGS["light_setups"])]
+    unreadable = [finding for finding in own if finding.rule in ("json", "files_exist") and finding.where == library.config]
+    facts = _Facts(library, root, notes)
     sources = [facts.source(template, dataset) for template in library.sections["scene_instances"].values()]
+    read = {template.file for template in library.sections["scene_instances"].values()}
     for finding in library.findings:  # a scene file that could not be read is in no section
-        if finding.where.endswith(ENDINGS["scene_instances"]):
+        if finding.where.endswith(ENDINGS["scene_instances"]) and finding.where not in read:
             name = PurePosixPath(finding.where).name.removesuffix(ENDINGS["scene_instances"])
             files = tuple(path for path in (root / finding.where,) if path.is_file())
             error = InputError(finding.where, finding.rule, finding.message, "export it again")
             sources.append(Source("habitat", root, dataset, name, files, {}, error))
     if not sources:
-        raise InputError(library.config, "scene_instances", "the dataset lists no scene", "name a dataset with scenes")
+        problem = (unreadable or own)[0] if own else None
+        why = f" ({problem.message})" if problem else ""
+        raise InputError(library.config, "scene_instances", f"the dataset lists no scene{why}", "name a dataset with scenes")
     return sorted(sources, key=lambda source: source.scene_id)
 
 
 class _Facts:
     """What all scenes of a dataset share."""
 
-    def __init__(self, library: Library, lexicon: Mapping[int, str], categories: Mapping[str, str], license: str | None) -> None:
-        self._library, self._lexicon, self._categories, self._license = library, lexicon, categories, license
+    def __init__(self, library: Library, root: Path, notes: list[str]) -> None:
+        self._library, self._lexicon = library, _lexicons(library, notes)
+        self._categories, self._license = _categories(root, notes), _license(root, notes)
+        self._notes = notes
+        self._shapes: dict[str, list[str]] = {}
+        for finding in library.findings:
+            if finding.rule in ("json", "shape"):
+                self._shapes.setdefault(finding.where, []).append(f"{_text(finding)}: left out")
 
     def source(self, scene: Template, dataset: str) -> Source:
         """A scene with all that it names."""
         root = self._library.root
         files = {root / scene.file}
-        notes: list[str] = []
+        notes: list[str] = [*self._notes, *self._shapes.get(scene.file, [])]
         about: dict[str, Any] = {"file": scene.file, "scene": dict(scene.values), "license": self._license, "notes": notes}
         problem = None
         try:
@@ -90,19 +133,34 @@ class _Facts:
         return self._described(template, files)
 
     def _templates(self, scene: Template, files: set[Path], notes: list[str]) -> dict[str, dict[str, Any]]:
+        """Templates of the objects by name. Objects whose template cannot be used are left out, with a note for each name."""
         templates: dict[str, dict[str, Any]] = {}
-        for index, placed in enumerate(scene.values.get("object_instances", [])):
+        problems: dict[str, InputError] = {}
+        counts: dict[str, int] = {}
+        for index, placed in enumerate(scene.values.get("object_instances") or []):
             field = f"object_instances[{index}].template_name"
             name = placed.get("template_name")
             if name is None:
-                raise InputError(scene.file, field, "is missing", "name an object of the dataset")
-            if name not in templates:
+                notes.append(f"{scene.file}: {field}: is missing: left out")
+                continue
+            counts[name] = counts.get(name, 0) + 1
+            if counts[name] > 1:
+                continue
+            try:
                 template = self._template("objects", name, scene.file, field, notes)
                 facts = self._described(template, files)
-                number = template.values.get("semantic_id")
-                facts["class_name"] = self._lexicon.get(number, "") if isinstance(number, int) else ""
-                facts["category"] = self._categories.get(template.handle) or self._categories.get(PurePosixPath(facts["render"]).stem, "")
-                templates[name] = facts
+            except InputError as error:
+                problems[name] = error
+                continue
+            notes += self._shapes.get(template.file, [])
+            number = template.values.get("semantic_id")
+            facts["class_name"] = self._lexicon.get(number, "") if isinstance(number, int) else ""
+            facts["category"] = self._categories.get(template.handle) or self._categories.get(PurePosixPath(facts["render"]).stem, "")
+            templates[name] = facts
+        for name, error in problems.items():
+            notes.append(
+                f"{scene.file}: {counted(counts[name], 'object')} of {name!r} left out: {error.file}: {error.field}: {error.problem}"
+            )
         return templates
 
     def _described(self, template: Template, files: set[Path]) -> dict[str, Any]:
@@ -116,6 +174,8 @@ class _Facts:
             if not asset or not PurePosixPath(asset).suffix:  # none, or a primitive that habitat-sim makes itself
                 continue
             path = template.folder / asset
+            if key == "collision_asset" and not stays_in(path, root):
+                continue  # the object collides by its own mesh
             if not stays_in(path, root):
                 raise InputError(template.file, key, f"{asset!r} leaves the dataset's folder", "copy it in")
             if key == "render_asset" and not is_there(path):
@@ -161,18 +221,21 @@ def _text(finding: Finding) -> str:
     return f"{finding.where}: {finding.message}"
 
 
-def _lexicons(library: Library) -> dict[int, str]:
+def _lexicons(library: Library, notes: list[str]) -> dict[int, str]:
     """Names of semantic classes by number, of all lexicons that can be read."""
     lexicon: dict[int, str] = {}
+    findings: list[Finding] = []
     for path in library.semantics.values():
         if path.endswith(".json") and not path.endswith(".semantic_config.json"):
-            document = read_json(library.root / path, library.root, [], shapes.LEXICON)
-            for item in (document or {}).get("classes", []):
-                lexicon.setdefault(item["id"], item["name"])
+            document = read_parts(library.root / path, library.root, findings, shapes.LEXICON)
+            for item in (document or {}).get("classes") or []:
+                if item:
+                    lexicon.setdefault(item["id"], item["name"])
+    notes += [_text(finding) for finding in findings]
     return lexicon
 
 
-def _categories(root: Path) -> dict[str, str]:
+def _categories(root: Path, notes: list[str]) -> dict[str, str]:
     """Categories by the name of an object, from the tables in `metadata` and `semantics` that have an id and a category."""
     categories: dict[str, str] = {}
     for path in sorted(file for folder in ("metadata", "semantics") for file in (root / folder).glob("*.csv")):
@@ -182,6 +245,9 @@ def _categories(root: Path) -> dict[str, str]:
             rows = list(csv.DictReader(io.StringIO(read_text(path, name_of(path, root)))))
         except csv.Error:
             continue  # no table of categories; what it says is not needed to read the scenes
+        except InputError as error:
+            notes.append(f"{error}: no categories are taken from it")
+            continue
         columns: Sequence[str] = list(rows[0]) if rows else ()
         key = next((name for name in _IDS if name in columns), None)
         value = next((name for name in _CATEGORIES if name in columns), None)
@@ -192,9 +258,12 @@ def _categories(root: Path) -> dict[str, str]:
     return categories
 
 
-def _license(root: Path) -> str | None:
+def _license(root: Path, notes: list[str]) -> str | None:
     """First line of the dataset's licence file, None without one."""
     for name in LICENSES:
         if (root / name).is_file():
-            return first_line(root / name, root)
+            try:
+                return first_line(root / name, root)
+            except InputError as error:
+                notes.append(f"{error}: the license is unknown")
     return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.errors import InputError
 from schemas.navigation import Navmesh, Split
 from tasks.capture.files.documents import read_bytes
 from tasks.exports.habitat.navmesh_file import read_polygons
@@ -17,8 +18,7 @@ from tasks.stage import Blobs, Outcome
 def navigation_rows(source: Source, config: IngestionConfig) -> Outcome | None:
     """The navmesh of a scene and its split; None when the dataset has no navmesh for it. Episodes are not read.
 
-    Raises:
-        InputError: the file cannot be read.
+    A navmesh that cannot be read is left out, with a note.
     """
     file = str(source.about.get("navmesh", ""))
     if not file:
@@ -26,9 +26,11 @@ def navigation_rows(source: Source, config: IngestionConfig) -> Outcome | None:
     notes: list[str] = []
     meshes: list[Navmesh] = []
     blobs = Blobs()
-    data = read_bytes(source.root / file, file, MAX_MODEL_BYTES)
     try:
+        data = read_bytes(source.root / file, file, MAX_MODEL_BYTES)
         navmesh = read_polygons(data)
+    except InputError as error:
+        notes.append(f"{error}: left out")
     except ValueError as error:
         notes.append(f"{file}: left out: {error}")
     else:

@@ -140,6 +140,21 @@ class IngestionConfig:
     agent: str = "habitat"  # Name of the agent of imported navmeshes: their files give its shape, not its name.
 
 
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+"""Mirror image along a model's own x axis, 4x4."""
+
+
+def is_mirrored(matrix: Array) -> bool:
+    """True if a 4x4 matrix turns a model into its mirror image."""
+    return bool(np.linalg.det(np.asarray(matrix, dtype=np.float64)[:3, :3]) < 0.0)
+
+
+def mirrored_model(model: ImportedModel) -> ImportedModel:
+    """The mirror image of a model along its own x axis, with outward faces."""
+    copies = [tuple(part.copy().apply_transform(MIRROR) for part in parts) for parts in (model.parts, model.pieces)]
+    return dataclasses.replace(model, parts=copies[0], pieces=copies[1])
+
+
 def scaled_pose(matrix: Array, file: str, field: str) -> tuple[Array, Array]:
     """A 4x4 matrix as a rigid pose and a scale along the object's own axes, shape (3,), applied before the pose.
 

@@ -63,6 +63,8 @@ def integers(value: Any, name: str, field: str, minimum: int = 0) -> NDArray[np.
     if not value:
         return np.zeros(0, dtype=np.int64)
     if set(map(type, value)) != {int}:  # NumPy would make an array of words of them, each as long as the longest
+        value = [_integer(item) for item in value]
+    if None in value:
         raise InputError(name, field, "must be a list of integers", "is it the right file?")
     try:
         array = np.array(value, dtype=np.int64)
@@ -71,6 +73,15 @@ def integers(value: Any, name: str, field: str, minimum: int = 0) -> NDArray[np.
     if array.min() < minimum:
         raise InputError(name, field, f"has {array.min()}, below {minimum}", "is it the right file?")
     return array
+
+
+def _integer(value: Any) -> int | None:
+    """An integer that a file holds as a number, a float or a text; None if it is something else."""
+    if isinstance(value, str) and re.fullmatch(r"-?[0-9]{1,19}", value):
+        return int(value)
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value if type(value) is int else None
 
 
 def floats(text: str, name: str, field: str, count: int) -> NDArray[np.float64]:

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from tasks.capture.files.documents import integers, license_of, name_of, plain_text, read_bytes, read_json
+from schemas.wording import counted
+from tasks.capture.files.annotated_rows import whole_numbers
+from tasks.capture.files.documents import license_of, name_of, plain_text, read_bytes, read_json
 from tasks.capture.files.labelled_ply import read_labelled_ply
 from tasks.capture.files.ply import read_ply
 from tasks.capture.files.ply_header import header
@@ -47,8 +49,9 @@ def read_multiscan(scan: Scan) -> Reading:
     folder = scan.path
     path = own_file(scan, _annotation(folder).name)
     name = name_of(path, folder)
-    listed = objects_of(read_json(path, name), name)
-    turn, notes = upright(listed)
+    listed, notes = objects_of(read_json(path, name), name)
+    turn, more = upright(listed)
+    notes += more
     from_file = None if np.array_equal(turn, np.eye(4)) else turn
     objects = [entry for entry in listed if not entry.is_removed]
     if not objects:
@@ -120,24 +123,33 @@ def _owner(document: dict[str, Any], name: str, count: int, listed: list[Annotat
     places: dict[str, list[int]] = {}
     for index, entry in enumerate(listed):
         places.setdefault(entry.name, []).append(index)
-    owner = np.full(count, -1, dtype=np.int64)
-    shared, unknown = 0, 0
+    claims: dict[int, list[NDArray[np.int64]]] = {}
+    unknown = 0
+    notes: list[str] = []
     for key, value in lists.items():
         word = plain_text(key)
-        faces = np.unique(integers(value, name, f"triIndices.{word[:60]}"))
-        if len(faces) and faces[-1] >= count:
-            problem = f"names face {faces[-1]}, the mesh has {count}"
-            raise InputError(name, f"triIndices.{word[:60]}", problem, "use mesh and segments of one and the same scan")
         place = places.get(word, places.get(word.partition(":")[0], []))
         if not place:
             unknown += 1
             continue
-        free = faces[owner[faces] < 0]
-        shared += int((owner[faces] != place[0]).sum()) - len(free)
-        owner[free] = place[0]
-    notes = [f"{Path(name).name}: {unknown} of its names are not in the annotation: their faces are nobody's"] if unknown else []
+        faces, unreadable = whole_numbers(value)
+        own = faces[(faces >= 0) & (faces < count)]
+        lost = unreadable + len(faces) - len(own)
+        if lost:
+            field = f"{Path(name).name}: triIndices.{word[:60]}"
+            notes.append(f"{field}: {counted(lost, 'value')} name no face of the mesh, which has {count}: left out")
+        claims.setdefault(place[0], []).append(own)
+    owner = np.full(count, -1, dtype=np.int64)
+    shared = 0
+    claimed = {index: np.unique(np.concatenate(parts)) for index, parts in claims.items()}
+    for index in sorted(claimed, key=lambda index: (len(claimed[index]), index)):
+        free = claimed[index][owner[claimed[index]] < 0]
+        shared += len(claimed[index]) - len(free)
+        owner[free] = index
+    if unknown:
+        notes.append(f"{Path(name).name}: {unknown} of its names are not in the annotation: their faces are nobody's")
     if shared:
-        notes.append(f"{shared} faces are claimed by two objects: they stay with the first")
+        notes.append(f"{shared} faces are claimed by two objects: they stay with the smaller")
     return owner, notes
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from tasks.capture.files.documents import json_floats, plain_text
+from tasks.capture.files.annotated_rows import label_text, whole_number
+from tasks.capture.files.documents import json_floats
 from tasks.capture.labels import normalized
 from tasks.capture.roomplan.elements import LARGEST_M, RoomElement
 from tasks.capture.rooms.alignment import rotation_to_z
@@ -25,6 +26,9 @@ REMOVED = "remove"
 
 LEVEL_RADIANS = 1e-6
 """What stands as straight as this is level; the file's own rounding is finer."""
+
+MAX_OBJECT_NUMBER = 2**31
+"""Numbers of objects stay below this: faces of a mesh name them with 32 bits."""
 
 _NUMBERED = re.compile(r"(.+?)\.\d{1,9}", re.ASCII | re.DOTALL)
 
@@ -58,24 +62,34 @@ class AnnotatedObject:
         return normalized(self.label) == REMOVED
 
 
-def objects_of(document: dict[str, Any], name: str) -> list[AnnotatedObject]:
-    """Objects of the annotation, in its order; parts of an object are not told apart.
+def objects_of(document: dict[str, Any], name: str) -> tuple[list[AnnotatedObject], list[str]]:
+    """Objects of the annotation, in its order, and a note for each value that is wrong; parts are not told apart.
+
+    An object with the name of an earlier one is left out. A box that is wrong is left out, its object is not.
 
     Raises:
-        InputError: it is no annotation, or two objects have one name.
+        InputError: it is not an annotation.
     """
     listed = document.get("objects")
     if not isinstance(listed, list) or not listed:
         raise InputError(name, "objects", "must be a list of objects", "is it the annotation of a scan of MultiScan?")
     if len(listed) > BUDGET.nodes:
         raise InputError(name, "objects", f"lists more than {BUDGET.nodes}", "is it the right file?")
-    objects = [_object(entry, name, f"objects[{index}]") for index, entry in enumerate(listed)]
+    objects: list[AnnotatedObject] = []
+    notes: list[str] = []
     seen: set[str] = set()
-    for entry in objects:
+    for index, row in enumerate(listed):
+        field = f"objects[{index}]"
+        if not isinstance(row, dict):
+            notes.append(f"{name}: {field}: is not an object: left out")
+            continue
+        entry = _object(row, name, field, index, notes)
         if entry.source_id in seen and not (entry.is_removed and entry.number is None):
-            raise InputError(name, entry.field, f"{entry.source_id[:40]!r} names two objects", "give every object its own name")
+            notes.append(f"{name}: {field}: {entry.source_id[:40]!r} names two objects: left out")
+            continue
         seen.add(entry.source_id)
-    return objects
+        objects.append(entry)
+    return objects, notes
 
 
 def upright(objects: Sequence[AnnotatedObject]) -> tuple[Array, list[str]]:
@@ -93,42 +107,40 @@ def upright(objects: Sequence[AnnotatedObject]) -> tuple[Array, list[str]]:
     return pose, []
 
 
-def _object(entry: Any, name: str, field: str) -> AnnotatedObject:
-    if not isinstance(entry, dict):
-        raise InputError(name, field, "must be an object", "is it the right file?")
-    word = entry.get("label")
-    if not isinstance(word, str) or not plain_text(word):
-        raise InputError(name, f"{field}.label", "must be a text", "is it the right file?")
-    word = plain_text(word)
+def _object(entry: dict[str, Any], name: str, field: str, index: int, notes: list[str]) -> AnnotatedObject:
+    word, is_label = label_text(entry.get("label"))
+    if not is_label or not word:
+        notes.append(f"{name}: {field}.label: is missing, or not a text: the object is unlabeled")
     match = _NUMBERED.fullmatch(word)
     label = match[1] if match else word
-    box = entry.get("obb")
-    if box is not None and not isinstance(box, dict):
-        raise InputError(name, f"{field}.obb", "must be a box", _AGAIN)
-    stated = None if box is None else box.get("up")
-    up = None if stated is None else json_floats(stated, name, f"{field}.obb.up", 3)
-    if up is not None and abs(float(np.linalg.norm(up)) - 1.0) > 0.01:
-        raise InputError(name, f"{field}.obb.up", "is no unit vector", _AGAIN)
-    return AnnotatedObject(
-        name=word,
-        label=label,
-        number=_number(entry.get("objectId"), name, f"{field}.objectId"),
-        box=None if box is None else _box(box, word, label, name, f"{field}.obb"),
-        up=up,
-        field=field,
-    )
+    word = word or f"unlabeled.{index}"
+    number = whole_number(entry.get("objectId"))
+    number = number if number is None or number < MAX_OBJECT_NUMBER else None
+    if number is None and entry.get("objectId") is not None:
+        notes.append(f"{name}: {field}.objectId: must be a number from 0: left out")
+    obb = entry.get("obb")
+    box, up = None, None
+    try:
+        box = None if obb is None else _box(obb, word, label, name, f"{field}.obb")
+        up = None if obb is None else _up(obb, name, f"{field}.obb.up")
+    except InputError as error:
+        notes.append(f"{error.file}: {error.field}: {error.problem}: left out")
+    return AnnotatedObject(word, label, number, box, up, field)
 
 
-def _number(value: Any, name: str, field: str) -> int | None:
-    """`objectId`, which the description calls a text and shows as a number."""
-    if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value, re.ASCII):
-        return int(value)
-    if value is not None and (not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**31):
-        raise InputError(name, field, "must be a number from 0", _AGAIN)
-    return value
+def _up(box: dict[str, Any], name: str, field: str) -> Array | None:
+    """The direction that a box calls up, shape (3,); None where it states none."""
+    if box.get("up") is None:
+        return None
+    up = json_floats(box["up"], name, field, 3)
+    if abs(float(np.linalg.norm(up)) - 1.0) > 0.01:
+        raise InputError(name, field, "is not a unit vector", _AGAIN)
+    return up
 
 
-def _box(box: dict[str, Any], word: str, label: str, name: str, field: str) -> RoomElement:
+def _box(box: Any, word: str, label: str, name: str, field: str) -> RoomElement:
+    if not isinstance(box, dict):
+        raise InputError(name, field, "must be a box", _AGAIN)
     center, size = (json_floats(box.get(key), name, f"{field}.{key}", 3) for key in ("centroid", "axesLengths"))
     if (size < 0.0).any() or (size > LARGEST_M).any():
         raise InputError(name, f"{field}.axesLengths", f"must be 0 to {LARGEST_M:g} m", _AGAIN)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.capture.files.documents import license_of, name_of, plain_text, read_json
+from tasks.capture.files.annotated_rows import labels_by_number
+from tasks.capture.files.documents import license_of, name_of, read_json
 from tasks.capture.files.labelled_ply import read_labelled_ply
 from tasks.capture.layout import folders_in
 from tasks.capture.premises import Premises
@@ -44,12 +45,13 @@ def read_replica(scan: Scan) -> Reading:
     name = name_of(info, folder)
     document = read_json(info, name)
     surface = surface.transformed(_upright(document.get("gravity_dir"), name))
-    groups = _groups(_labels(document, name), object_of_face, surface, name)
+    labels, notes = _labels(document, name)
+    groups = _groups(labels, object_of_face, surface, name)
     return Reading(
         surface=surface,
         groups=groups,
         license=license_of(license_path(folder, scan.premises)),
-        degradations=("no frames in the scan: no views, no masks",),
+        degradations=(*notes, "no frames in the scan: no views, no masks"),
     )
 
 
@@ -65,20 +67,13 @@ def _upright(gravity: Any, name: str) -> NDArray[np.float64]:
     return pose
 
 
-def _labels(document: dict[str, Any], name: str) -> dict[int, str]:
-    """Class of each object by its number."""
+def _labels(document: dict[str, Any], name: str) -> tuple[dict[int, str], list[str]]:
+    """Class of each object by its number, and notes on wrong rows."""
     objects = document.get("objects")
     if not isinstance(objects, list):
         raise InputError(name, "objects", "must be a list", "is it the right file?")
-    labels: dict[int, str] = {}
-    for index, entry in enumerate(objects):
-        number, label = (entry.get("id"), entry.get("class_name")) if isinstance(entry, dict) else (None, None)
-        if not isinstance(number, int) or isinstance(number, bool) or not isinstance(label, str):
-            raise InputError(name, f"objects[{index}]", "must have a number id and a text class_name", "is it the right file?")
-        if number in labels:
-            raise InputError(name, f"objects[{index}].id", f"{number} names two objects", "give every object its own number")
-        labels[number] = plain_text(label)
-    return labels
+    labels, notes = labels_by_number(objects, Path(name).name, "objects", "class_name")
+    return {number: label for number, (label, _) in labels.items()}, notes
 
 
 def _groups(labels: dict[int, str], object_of_face: NDArray[np.int64], surface: Surface, name: str) -> tuple[Group, ...]:

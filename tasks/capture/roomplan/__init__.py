@@ -16,7 +16,7 @@ from schemas.errors import InputError
 from tasks.capture.files.documents import license_of, name_of, read_json
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
-from tasks.capture.roomplan.elements import elements_of
+from tasks.capture.roomplan.elements import RoomElement, elements_of
 from tasks.capture.roomplan.surfaces import ElementPart, assembled, box_part, floor_part, floor_within, panel_part, wall_parts
 from tasks.capture.scan import Scan, ScanFormat, license_path, own_file
 from tasks.geometry.transforms import Y_UP_TO_Z_UP
@@ -36,12 +36,15 @@ def read_roomplan(scan: Scan) -> Reading:
     path = own_file(scan, _document(scan).name)
     name = name_of(path, folder)
     document = read_json(path, name)
-    listed = {kind: elements_of(document.get(kind), name, kind) for kind in ("walls", "doors", "windows", "openings", "floors", "objects")}
+    listed: dict[str, list[RoomElement]] = {}
+    notes = [NO_SURFACE]
+    for kind in ("walls", "doors", "windows", "openings", "floors", "objects"):
+        listed[kind], more = elements_of(document.get(kind), name, kind)
+        notes += more
     if sum(map(len, listed.values())) > BUDGET.nodes:
         raise InputError(name, "content", f"lists more than {BUDGET.nodes} elements", "is it the right file?")
     if not listed["walls"]:
         raise InputError(name, "walls", "there are none", "is it the JSON of a CapturedRoom? Scan the room's walls, too")
-    notes = [NO_SURFACE]
     holes = [*listed["doors"], *listed["windows"], *listed["openings"]]
     parts = wall_parts(listed["walls"], holes, name)
     labels = ["wall"] * len(parts)

@@ -35,51 +35,53 @@ class RoomElement:
     field: str
 
 
-def elements_of(value: Any, name: str, kind: str) -> list[RoomElement]:
-    """Elements of a list of the file, of which there may be none.
+def elements_of(value: Any, name: str, kind: str) -> tuple[list[RoomElement], list[str]]:
+    """Elements of a list of the file, of which there may be none, and a note for each that is wrong and left out.
 
     Raises:
-        InputError: it is no list of elements.
+        InputError: it is not a list.
     """
     if value is None:
-        return []
+        return [], []
     if not isinstance(value, list):
         raise InputError(name, kind, "must be a list", "is it the right file?")
-    elements = []
+    elements: list[RoomElement] = []
+    notes: list[str] = []
     for index, entry in enumerate(value):
-        field = f"{kind}[{index}]"
-        if not isinstance(entry, dict):
-            raise InputError(name, field, "must be an object", "is it the right file?")
-        size = json_floats(entry.get("dimensions"), name, f"{field}.dimensions", 3)
-        if (size < 0.0).any() or (size > LARGEST_M).any():
-            raise InputError(name, f"{field}.dimensions", f"must be 0 to {LARGEST_M:g} m", _AGAIN)
-        pose = json_floats(entry.get("transform"), name, f"{field}.transform", 16).reshape(4, 4).T  # columns come one after another
-        if not is_rigid(pose, 0.01):
-            raise InputError(name, f"{field}.transform", "is no rotation and translation", _AGAIN)
-        corners = entry.get("polygonCorners") or []
-        if not isinstance(corners, list) or len(corners) > 10_000:
-            raise InputError(name, f"{field}.polygonCorners", "must be a list of corners", _AGAIN)
-        outline = [json_floats(corner, name, f"{field}.polygonCorners[{at}]", 3) for at, corner in enumerate(corners)]
-        elements.append(
-            RoomElement(
-                identifier=_text(entry.get("identifier")),
-                category=_category(entry.get("category"), name, field),
-                pose=Y_UP_TO_Z_UP @ nearest_rigid(pose),
-                size=size,
-                corners=np.array(outline, dtype=np.float64).reshape(-1, 3),
-                parent=_text(entry.get("parentIdentifier")),
-                field=field,
-            )
-        )
-    return elements
+        try:
+            elements.append(_element(entry, name, f"{kind}[{index}]"))
+        except InputError as error:
+            notes.append(f"{error.file}: {error.field}: {error.problem}: left out")
+    return elements, notes
 
 
-def _category(value: Any, name: str, field: str) -> str:
-    """`{"chair": {}}`, as Swift encodes it, or a plain word; a surface without any is what its list is of."""
-    word = next(iter(value), "") if isinstance(value, dict) else value if value is not None else ""
-    if not isinstance(word, str):
-        raise InputError(name, f"{field}.category", "must be a category", "is it the right file?")
-    return plain_text(word) or "object"
+def _element(entry: Any, name: str, field: str) -> RoomElement:
+    if not isinstance(entry, dict):
+        raise InputError(name, field, "must be an object", "is it the right file?")
+    size = json_floats(entry.get("dimensions"), name, f"{field}.dimensions", 3)
+    if (size < 0.0).any() or (size > LARGEST_M).any():
+        raise InputError(name, f"{field}.dimensions", f"must be 0 to {LARGEST_M:g} m", _AGAIN)
+    pose = json_floats(entry.get("transform"), name, f"{field}.transform", 16).reshape(4, 4).T  # columns come one after another
+    if not is_rigid(pose, 0.01):
+        raise InputError(name, f"{field}.transform", "is no rotation and translation", _AGAIN)
+    corners = entry.get("polygonCorners") or []
+    if not isinstance(corners, list) or len(corners) > 10_000:
+        raise InputError(name, f"{field}.polygonCorners", "must be a list of corners", _AGAIN)
+    outline = [json_floats(corner, name, f"{field}.polygonCorners[{at}]", 3) for at, corner in enumerate(corners)]
+    return RoomElement(
+        identifier=_text(entry.get("identifier")),
+        category=_category(entry.get("category")),
+        pose=Y_UP_TO_Z_UP @ nearest_rigid(pose),
+        size=size,
+        corners=np.array(outline, dtype=np.float64).reshape(-1, 3),
+        parent=_text(entry.get("parentIdentifier")),
+        field=field,
+    )
+
+
+def _category(value: Any) -> str:
+    """`{"chair": {}}`, as Swift encodes it, or a plain word; an element without one is an object."""
+    return _text(next(iter(value), "") if isinstance(value, dict) else value) or "object"
 
 
 def _text(value: Any) -> str:

@@ -45,7 +45,7 @@ def read_scannetpp(scan: Scan) -> Reading:
             problem = f"has {len(of_vertex)} values, the mesh {MESH} has {len(surface.vertices)} vertices"
             raise InputError(segmented, "segIndices", problem, "use segments and mesh of one and the same scan")
         document = read_json(by_name[ANNOTATION], annotated)
-        groups, more = vertex_groups(document, annotated, of_vertex, segmented, surface, smaller_first=True)
+        groups, more = vertex_groups(document, annotated, of_vertex, segmented, surface)
         notes += more
     else:
         notes.append(f"no {ANNOTATION} in the scan: instances found in its geometry")

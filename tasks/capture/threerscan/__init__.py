@@ -18,6 +18,7 @@ from schemas.errors import InputError
 from schemas.parsing import json_value
 from tasks.capture.aggregation import vertex_groups
 from tasks.capture.consistency.findings import Statements, settled
+from tasks.capture.files.annotated_rows import labels_by_number
 from tasks.capture.files.documents import integers, license_of, name_of, plain_text, read_bytes, read_json, read_text, settings
 from tasks.capture.files.frames import exported_frames
 from tasks.capture.files.images import image_size, read_color
@@ -54,7 +55,7 @@ def read_threerscan(scan: Scan) -> Reading:
     if annotation is not None and document is not None and labelled is not None:
         surface, object_of_vertex = read_labelled_ply(labelled, name_of(labelled, folder), "vertex", "objectId")
         surface = _painted(surface, colored)
-        groups = _labelled_groups(document, name_of(annotation, folder), object_of_vertex, surface)
+        groups, notes = _labelled_groups(document, name_of(annotation, folder), object_of_vertex, surface)
     elif colored is not None:
         surface = colored
         if annotation is not None and document is not None and segments is not None:
@@ -96,30 +97,25 @@ _SAME_M = 1e-3
 """Both files have the vertices in one order, up to the digits that they are written with [m]."""
 
 
-def _labelled_groups(document: dict[str, Any], name: str, object_of_vertex: NDArray[np.int64], surface: Surface) -> tuple[Group, ...]:
-    """Instances by the number that each vertex has; 0, and numbers that the annotation lacks, are nobody's."""
+def _labelled_groups(
+    document: dict[str, Any], name: str, object_of_vertex: NDArray[np.int64], surface: Surface
+) -> tuple[tuple[Group, ...], list[str]]:
+    """Instances by the number that each vertex has; 0, and numbers that the annotation lacks, are nobody's. And notes on wrong rows."""
     listed = document.get("segGroups")
     if not isinstance(listed, list):
         raise InputError(name, "segGroups", "must be a list of instances", "is it the right file?")
-    labels: dict[int, tuple[str, int]] = {}
-    for index, entry in enumerate(listed):
-        number = entry.get("objectId", entry.get("id")) if isinstance(entry, dict) else None
-        label = entry.get("label", "") if isinstance(entry, dict) else None
-        if not isinstance(number, int) or isinstance(number, bool) or not 0 < number < 2**62 or not isinstance(label, str):
-            raise InputError(name, f"segGroups[{index}]", "must have a number objectId above 0 and a text label", "is it the right file?")
-        if number in labels:
-            raise InputError(name, f"segGroups[{index}].objectId", f"{number} names two instances", "give every instance its own number")
-        labels[number] = (plain_text(label), index)
+    file = Path(name).name
+    labels, notes = labels_by_number(listed, file, "segGroups", minimum=1)
     present, dense = np.unique(object_of_vertex, return_inverse=True)
     numbers = [int(number) for number in present if int(number) in labels]
     index_of = {number: index for index, number in enumerate(numbers)}
     owner = np.array([index_of.get(int(number), -1) for number in present], dtype=np.int64)[dense]
     named = [(str(number), labels[number][0], np.flatnonzero(owner == index)) for index, number in enumerate(numbers)]
-    file = Path(name).name
-    return tuple(
+    groups = tuple(
         dataclasses.replace(group, origin=f"{file}: segGroups[{labels[number][1]}].label")
         for group, number in zip(groups_of(named, owner, surface), numbers, strict=True)
     )
+    return groups, notes
 
 
 def _segmented_groups(
@@ -176,7 +172,7 @@ def _room(scan: Scan) -> str | None:
                 raise InputError(path.name, "content", f"is no JSON ({error})", "copy it again, or take it away") from error
             for entry in listed if isinstance(listed, list) else []:
                 if not isinstance(entry, dict) or not isinstance(entry.get("reference"), str):
-                    raise InputError(path.name, "reference", "every room must have one", "copy it again, or take it away")
+                    continue  # a room of another scan, or none that can be named
                 rescans = entry.get("scans")
                 again = [other.get("reference") for other in rescans if isinstance(other, dict)] if isinstance(rescans, list) else []
                 if scan.path.name in (entry["reference"], *again):

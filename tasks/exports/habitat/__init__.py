@@ -372,7 +372,7 @@ HABITAT = ExportFormat(
     doctor=Doctor(
         about="Check a Habitat scene dataset against everything that habitat-sim and habitat-lab stumble over.",
         example="./replicas/habitat",
-        takes="a folder",
+        takes="either",
     ),
     shared=_shared,
 )

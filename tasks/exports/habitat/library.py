@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -23,6 +23,9 @@ ENDINGS = {
 }  # fmt: skip
 """Sections of a scene dataset config whose files this knows, and how those files' names end."""
 
+
+CONFIG_ENDING = ".scene_dataset_config.json"
+"""End of the file name of a scene dataset config."""
 
 LIGHTS = "_lights"
 """How the names of a scene's lights end in datasets of this project; they begin with the scene's."""
@@ -81,15 +84,16 @@ class Library:
         return name if name in scenes or name in stages else None
 
 
-def read_library(root: Path) -> Library:
-    """Read the one scene dataset config of a folder and all that it lists."""
+def read_library(root: Path, config: str | None = None) -> Library:
+    """Read a scene dataset config of a folder and all that it lists. config: its file's name; by default, the only one."""
     findings: list[Finding] = []
-    configs = sorted(root.glob("*.scene_dataset_config.json"))
+    configs = sorted(root.glob(f"*{CONFIG_ENDING}")) if config is None else [root / config]
     if len(configs) != 1:
-        findings.append(Finding("dataset_config", ".", f"*.scene_dataset_config.json: there are {len(configs)}, not one"))
+        names = f" ({', '.join(path.name for path in configs)})" if configs else ""
+        findings.append(Finding("dataset_config", ".", f"*{CONFIG_ENDING}: there are {len(configs)}{names}, not one"))
     if not configs:
         return Library(root, "", {name: {} for name in ENDINGS}, {}, {}, tuple(findings))
-    document = read_json(configs[0], root, findings, shapes.CONFIG) or {}
+    document = read_parts(configs[0], root, findings, shapes.CONFIG) or {}
     known = {*ENDINGS, "articulated_objects", "pbr_ibl_configs", "navmesh_instances", "semantic_scene_descriptor_instances"}
     for name in sorted(set(document) - known):
         findings.append(Finding("dataset_config", configs[0].name, f"section {name!r} is not read by habitat-sim"))
@@ -135,14 +139,36 @@ def _matches(root: Path, pattern: str, kind: str, file: str, findings: list[Find
 
 def read_json(path: Path, root: Path, findings: list[Finding], shape: Mapping[str, Any]) -> Any:
     """A JSON file (compressed when its name ends in .gz) of a shape (`habitat_shapes`), or None and a finding."""
+    document = _parsed(path, root, findings, _refuse)
+    wrong = None if document is None else shapes.mismatch(document, shape)
+    if wrong is None:
+        return document
+    findings.append(Finding("shape", path.relative_to(root).as_posix(), wrong))
+    return None
+
+
+def read_parts(path: Path, root: Path, findings: list[Finding], shape: Mapping[str, Any]) -> Any:
+    """The parts of a JSON file that have a shape, and a finding for each other part; None if it cannot be read."""
+    where = path.relative_to(root).as_posix()
+    constants: list[str] = []
+    document = _parsed(path, root, findings, constants.append)  # NaN becomes null, which no number may be
+    if document is None:
+        return None
+    findings += [Finding("json", where, f"{name} is not valid JSON") for name in dict.fromkeys(constants)]
+    parts, problems = shapes.conforming(document, shape)
+    findings += [Finding("shape", where, problem) for problem in problems]
+    return parts
+
+
+def _parsed(path: Path, root: Path, findings: list[Finding], on_constant: Callable[[str], Any]) -> Any:
+    """The value of a JSON file (compressed when its name ends in .gz), or None and a finding."""
     where = path.relative_to(root).as_posix()
     try:
         data = read_file(path, where, BUDGET.json_bytes)
-        document = json_value(gunzip(data) if path.suffix == ".gz" else data, parse_constant=_refuse)
-        wrong = shapes.mismatch(document, shape)
-        if wrong is None:
+        document = json_value(gunzip(data) if path.suffix == ".gz" else data, parse_constant=on_constant)
+        if document is not None:
             return document
-        findings.append(Finding("shape", where, wrong))
+        findings.append(Finding("shape", where, "the file is no object"))
     except InputError as error:
         missing = isinstance(error.__cause__, FileNotFoundError)
         findings.append(Finding("files_exist" if missing else "json", where, "does not exist" if missing else error.problem))
@@ -157,37 +183,44 @@ def _refuse(name: str) -> float:
 
 def _section(root: Path, section: Any, kind: str, file: str, findings: list[Finding]) -> dict[str, Template]:
     """Templates of one section, in habitat-sim's order: defaults, files, then entries written in the config itself."""
-    defaults = section.get("default_attributes", {})
+    defaults, problems = shapes.conforming(section.get("default_attributes", {}), shapes.SECTIONS[kind], f"{kind}.default_attributes")
+    findings += [Finding("shape", file, problem) for problem in problems]
     ending = ENDINGS[kind]
     templates: dict[str, Template] = {}
     for path in _listed(root, section.get("paths", {}), ending, kind, file, findings):
         shape = shapes.SECTIONS[kind]
-        values = read_json(path, root, findings, shape) if path.name.endswith(ending) else {"render_asset": path.name}
+        values = read_parts(path, root, findings, shape) if path.name.endswith(ending) else {"render_asset": path.name}
         if values is not None:
             handle = path.name.removesuffix(ending).removesuffix(".glb")
             if handle in templates:
                 findings.append(Finding("handle_exact", path.relative_to(root).as_posix(), f"{handle!r} is the name of two files"))
             templates[handle] = Template(handle, path.relative_to(root).as_posix(), {**defaults, **values}, path.parent)
     for entry in section.get("configs", []):
+        if not entry:  # one that is wrong, or says nothing
+            continue
         origin = entry.get("original_file")
         handle = entry.get("template_handle") or Path(str(origin)).name.removesuffix(ending)
         base = next((t for t in templates.values() if t.file == origin), None)
         if origin and base is None:
             findings.append(Finding("files_exist", file, f"{origin} is changed by the config, but not loaded"))
-        values = {**(base.values if base else defaults), **entry.get("attributes", {})}
-        wrong = shapes.mismatch(values, shapes.SECTIONS[kind])
-        if wrong is None:
-            templates[handle] = Template(handle, file, values, base.folder if base else root)
-        else:
-            findings.append(Finding("shape", f"{file} {handle}", wrong))
+        values, problems = shapes.conforming({**(base.values if base else defaults), **entry.get("attributes", {})}, shapes.SECTIONS[kind])
+        findings += [Finding("shape", f"{file} {handle}", problem) for problem in problems]
+        templates[handle] = Template(handle, file, values, base.folder if base else root)
     return templates
 
 
 def _listed(root: Path, paths: Any, ending: str, kind: str, file: str, findings: list[Finding]) -> Iterator[Path]:
-    """Files that a section's `paths` name: by themselves, by pattern, or all of a folder."""
+    """Files that a section's `paths` name, each once: by themselves, by pattern, or all of a folder."""
+    seen: set[Path] = set()
     for extension, patterns in sorted(paths.items()):
+        wanted = ending if extension == ".json" else extension
         for pattern in patterns:
             for match in _matches(root, pattern, kind, file, findings):
-                below = sorted(match.iterdir()) if match.is_dir() else [match]
-                wanted = ending if extension == ".json" else extension
-                yield from (path for path in below if path.name.endswith(wanted))
+                try:
+                    below = sorted(match.iterdir()) if match.is_dir() else [match]
+                except OSError as error:
+                    findings.append(Finding("files_exist", file, f"{kind}: {pattern} cannot be read ({error.strerror})"))
+                    continue
+                listed = [path for path in below if path.name.endswith(wanted) and path not in seen]
+                seen.update(listed)
+                yield from listed

@@ -62,9 +62,10 @@ _BUILT_IN = ("", "no_lights")  # what habitat-sim knows without any file
 _MOTIONS = ("static", "kinematic", "dynamic")
 
 
-def check_habitat(root: Path) -> list[Finding]:
-    """Everything that is wrong with a Habitat dataset in a folder, sorted; empty when it can be used as it is."""
-    library = read_library(root)
+def check_habitat(path: Path) -> list[Finding]:
+    """Every fault of a Habitat dataset, sorted; empty when it can be used as it is. path: its folder, or its config."""
+    root = path if path.is_dir() else path.parent
+    library = read_library(root, None if path.is_dir() else path.name)
     findings = list(library.findings)
     if not library.config:
         return sorted(set(findings))

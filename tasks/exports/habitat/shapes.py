@@ -45,6 +45,39 @@ def mismatch(value: Any, shape: Any, where: str = "") -> str | None:
     return None
 
 
+def conforming(value: Any, shape: Any, where: str = "") -> tuple[Any, list[str]]:
+    """The parts of a value that have a shape, and the problem of each other part.
+
+    An object loses the keys that are wrong. In a list of objects, a wrong one becomes an empty object, so that the others
+    keep their places; a list of texts loses the wrong ones. Any other wrong value is None.
+    """
+    if isinstance(shape, Mapping) and isinstance(value, dict):
+        return _conforming_keys(value, shape, where)
+    item_shape = shape[0] if isinstance(shape, list) else None
+    if isinstance(value, list) and (isinstance(item_shape, Mapping) or item_shape is text):
+        checked = [(item, mismatch(item, item_shape, f"{where}[{index}]")) for index, item in enumerate(value)]
+        is_text = item_shape is text
+        items = [{} if wrong else item for item, wrong in checked if not (wrong and is_text)]
+        return items, [wrong for _, wrong in checked if wrong]
+    problem = mismatch(value, shape, where)
+    return (None, [problem]) if problem else (value, [])
+
+
+def _conforming_keys(value: dict[str, Any], shape: Mapping[str, Any], where: str) -> tuple[Any, list[str]]:
+    inner_shapes = {key.removesuffix("?"): inner for key, inner in shape.items()}
+    values: dict[str, Any] = {}
+    problems: list[str] = []
+    for key, item in value.items():
+        inner = inner_shapes.get(key, inner_shapes.get("*", anything))
+        part, wrong = conforming(item, inner, f"{where}.{key}".lstrip("."))
+        problems += wrong
+        if part is not None or (item is None and not wrong):
+            values[key] = part
+    missing = [key for key in shape if key != "*" and not key.endswith("?") and key not in values]
+    problems += [f"{where or 'the file'} has no {key}" for key in missing if key not in value]
+    return (None if missing else values), problems
+
+
 def text(value: Any) -> str | None:
     """A text."""
     return None if isinstance(value, str) else "is no text"
@@ -67,9 +100,9 @@ def whole(value: Any) -> str | None:
 
 
 def scale(value: Any) -> str | None:
-    """Three numbers above zero."""
-    fine = isinstance(value, list) and len(value) == 3 and all(number(item) is None and item > 0 for item in value)
-    return None if fine else "is not three numbers above zero"
+    """Three numbers other than zero; a negative one mirrors."""
+    fine = isinstance(value, list) and len(value) == 3 and all(number(item) is None and item != 0 for item in value)
+    return None if fine else "is not three numbers other than zero"
 
 
 def anything(value: Any) -> str | None:

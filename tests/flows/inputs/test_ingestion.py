@@ -31,8 +31,11 @@ from schemas.optimization import Certificate, Placement
 from schemas.runs import StageRun
 from schemas.tables import TABLES
 from tasks import exports
+from tasks.capture.labels import label_map
 from tasks.geometry.transforms import yaw_pose
+from tasks.ingestion.habitat import read_habitat
 from tasks.ingestion.models import read_model
+from tasks.ingestion.sources import find_sources
 from tasks.stats.scenes import PictureConfig
 from tests.flows.inputs.metascenes_release import write_release
 from tests.furnished import furnished_lake
@@ -262,17 +265,33 @@ def linked_glb(root: Path) -> None:
 
 HABITAT_DAMAGE: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "cut off": (lambda root: os.truncate(scene_file(root, SECOND), 200), "scene_instance.json", "cannot be read"),
-    "translation not finite": (placed(lambda one: one.update(translation=[0, float("nan"), 0])), "scene_instance.json", "NaN"),
+    "no stage": (lambda root: edit(scene_file(root, SECOND), lambda d: d.pop("stage_instance")), "stage_instance", "missing"),
+}
+
+OBJECT_DAMAGE: dict[str, tuple[Callable[[Path], object], str, str]] = {
+    "translation not finite": (
+        placed(lambda one: one.update(translation=[0, float("nan"), 0])),
+        "object_instances[0].translation",
+        "number",
+    ),
     "rotation of three": (placed(lambda one: one.update(rotation=[1, 0, 0])), "object_instances[0].rotation", "3 numbers"),
     "rotation of length 0": (placed(lambda one: one.update(rotation=[0, 0, 0, 0])), "object_instances[0].rotation", "length 0"),
     "translation of two": (placed(lambda one: one.update(translation=[0, 0])), "object_instances[0].translation", "2 numbers"),
     "translation a text": (placed(lambda one: one.update(translation="here")), "scene_instance.json", "translation"),
-    "mirrored": (placed(lambda one: one.update(non_uniform_scale=[1, -1, 1])), "scene_instance.json", "non_uniform_scale"),
+    "a number": (
+        lambda root: edit(scene_file(root, SECOND), lambda d: d["object_instances"].__setitem__(0, 7)),
+        "object_instances[0]",
+        "object",
+    ),
     "shrunk to nothing": (placed(lambda one: one.update(uniform_scale=0)), "object_instances[0] scale", "0.001"),
     "unknown origin": (placed(lambda one: one.update(translation_origin="middle")), "translation_origin", "middle"),
-    "unknown object": (placed(lambda one: one.update(template_name="nosuch")), "object_instances[0].template_name", "nosuch"),
+    "unknown object": (placed(lambda one: one.update(template_name="nosuch")), "object_instances[0].template_name", "1 object of 'nosuch'"),
+    "primitive": (
+        placed(lambda one: one.update(template_name="cubeSolid")),
+        "object_instances[0].template_name",
+        "1 object of 'cubeSolid'",
+    ),
     "no object": (placed(lambda one: one.pop("template_name")), "object_instances[0].template_name", "missing"),
-    "no stage": (lambda root: edit(scene_file(root, SECOND), lambda d: d.pop("stage_instance")), "stage_instance", "missing"),
     "config cut off": (lambda root: os.truncate(next((root / "objects").glob(f"demo_{SECOND}_*.json")), 40), "objects", "cannot be read"),
     "axes parallel": (template(lambda one: one.update(front=[0, 1, 0])), "up, front", "parallel"),
     "mesh missing": (template(lambda one: one.update(render_asset="nosuch.glb")), "render_asset", "does not exist"),
@@ -282,6 +301,19 @@ HABITAT_DAMAGE: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "mesh in other files": (linked_glb, "own.glb", "names another file"),
     "mesh a link outside": (lambda root: (p := mesh_of(root)).unlink() or p.symlink_to("/etc/hostname"), "render_asset", "leaves"),
 }
+
+
+@pytest.mark.parametrize("damage", OBJECT_DAMAGE)
+def test_a_damaged_object_is_left_out_and_costs_no_other(damage: str, dataset: Path) -> None:
+    labels = label_map()
+    before = [read_habitat(source, labels) for source in find_sources("habitat", dataset, "other")]
+    harm, where, problem = OBJECT_DAMAGE[damage]
+    harm(dataset)
+    after = [read_habitat(source, labels) for source in find_sources("habitat", dataset, "other")]
+    ids = [[one.source_id for one in scene.objects] for scene in after]
+    assert ids == [[one.source_id for one in before[0].objects], [one.source_id for one in before[1].objects][1:]]
+    assert any(where in note and problem in note for note in after[1].notes)
+    assert len(after[1].stage) == len(before[1].stage) > 0
 
 
 @pytest.mark.parametrize("damage", HABITAT_DAMAGE)
@@ -407,14 +439,14 @@ def test_a_folder_that_holds_no_dataset_is_misuse(kind: str, make: Callable[[Pat
 
 @pytest.mark.whole
 def test_the_command_says_what_it_did_and_which_scenes_failed(dataset: Path, tmp_path: Path) -> None:
-    placed(lambda one: one.update(rotation=[1, 0, 0]))(dataset)
+    edit(scene_file(dataset, SECOND), lambda document: document.pop("stage_instance"))
     options = ["--dataset", "other", "--workers", "1", "--lake", str(tmp_path / "lake")]
     command = [sys.executable, "-m", "flows.cli", "import", "habitat", str(dataset), *options]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 1
     assert done.stdout.strip() == "other: 1 scene imported (2 objects), 0 unchanged, 1 failed"
     (line,) = done.stderr.strip().splitlines()
-    assert "object_instances[0].rotation" in line
+    assert "stage_instance: is missing" in line
     done = subprocess.run([*command, "--json"], capture_output=True, text=True)
     assert done.returncode == 1
     said = json.loads(done.stdout)

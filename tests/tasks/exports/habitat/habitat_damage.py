@@ -230,7 +230,7 @@ DATASET_DAMAGES: dict[str, Damage] = {
     "NaN in a scene": Damage(
         "json", "scenes/*.scene_instance.json", "NaN", in_scene(lambda s: first(s).update(translation=[0, float("nan"), 0]))
     ),
-    "scale below zero": Damage("shape", "objects/*.object_config.json", "scale", in_object(lambda o: o.update(scale=[1, -1, 1]))),
+    "scale of zero": Damage("shape", "objects/*.object_config.json", "scale", in_object(lambda o: o.update(scale=[1, 0, 1]))),
     "collidable in words": Damage(
         "shape", "stages/*.stage_config.json", "is_collidable", in_stage(lambda o: o.update(is_collidable="yes"))
     ),
