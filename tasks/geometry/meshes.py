@@ -71,8 +71,7 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     """Parts of a GLB in a +Z-up frame [m], node transforms applied, in the order of the file's node names.
 
     Every part's `metadata["name"]` is its node's name; where a node's mesh has several primitives, their numbers are parts of
-    it: `floor||0`, `chair_2|chair|seat_0`. Textures and vertex colors stay; colors are display values, and white where
-    the file states none. The same file gives the same names.
+    it: `floor||0`, `chair_2|chair|seat_0`. Textures stay; colors are display values, white where the file states none.
 
     Raises:
         InputError: the file is no GLB, would take more than the budget, holds no triangles, triangles of vertices that are

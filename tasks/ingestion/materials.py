@@ -199,7 +199,7 @@ def _blocks(data: bytes) -> Iterator[tuple[str, dict[str, str]]]:
 
 def _libraries(data: bytes, folder: Path, folders: Folders, outside: list[str], notes: list[str]) -> list[Path]:
     """Material libraries that an OBJ names, each once, in their order."""
-    found: list[Path] = []
+    libraries: list[Path] = []
     for match in re.finditer(rb"(?im)^[ \t]*mtllib[ \t]+([^\r\n]+)", data):
         line = match[1].decode("utf-8", "surrogateescape").strip()
         whole = folders.find((line,), folder, folder)
@@ -213,10 +213,10 @@ def _libraries(data: bytes, folder: Path, folders: Folders, outside: list[str], 
             if folders.leads_out(named[0].strip(), folder):
                 outside.append(named[0].strip())
             files = [(line, None)]
-        found += [file for _, file in files if file is not None]
+        libraries += [file for _, file in files if file is not None]
         if len(named) == len(files):
             notes += [f"{name} is missing, drawn without it" for name, file in files if file is None]
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(libraries))
 
 
 def material_files(path: Path, root: Path) -> list[Path]:
