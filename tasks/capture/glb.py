@@ -59,12 +59,12 @@ def read_glb_scene(scan: Scan) -> Reading:
     except (ValueError, IndexError) as error:
         raise InputError(name, "meshes", f"are broken ({error})", "export it again") from error
     shift = survey_shift(surface.vertices, name) if np.isfinite(surface.vertices).all() else None
-    from_file, notes = Y_UP_TO_Z_UP, ("no frames in the scene: no views, no masks",)
+    from_file, notes = Y_UP_TO_Z_UP, ["no frames in the scene: no views, no masks"]
     if shift is not None:
         for part in parts:
             part.apply_translation(shift)
         surface, from_file = surface_of(parts), translation(shift) @ Y_UP_TO_Z_UP
-        notes = (*notes, shift_note(shift, name))
+        notes.append(shift_note(shift, name))
     check_vertices(surface.vertices, name)
     if not np.isfinite(surface.vertices).all():
         raise InputError(name, "meshes", "have coordinates that are not finite", "export it again")

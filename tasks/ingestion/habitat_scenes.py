@@ -157,10 +157,9 @@ class _Facts:
             facts["class_name"] = self._lexicon.get(number, "") if isinstance(number, int) else ""
             facts["category"] = self._categories.get(template.handle) or self._categories.get(PurePosixPath(facts["render"]).stem, "")
             templates[name] = facts
-        for name, error in problems.items():
-            notes.append(
-                f"{scene.file}: {counted(counts[name], 'object')} of {name!r} left out: {error.file}: {error.field}: {error.problem}"
-            )
+        for name, problem in problems.items():
+            reason = f"{problem.file}: {problem.field}: {problem.problem}"
+            notes.append(f"{scene.file}: {counted(counts[name], 'object')} of {name!r} left out: {reason}")
         return templates
 
     def _described(self, template: Template, files: set[Path]) -> dict[str, Any]:

@@ -78,7 +78,9 @@ def with_one_library(data: bytes) -> bytes:
 
 def read_materials(data: bytes, path: Path, root: Path) -> Materials:
     """Materials that the OBJ at `path`, with the decoded text `data`, draws on; files outside `root` are not opened."""
-    folders, outside, notes = Folders(root), [], []
+    folders = Folders(root)
+    outside: list[str] = []
+    notes: list[str] = []
     files: list[Path] = []
     images: dict[str, Path] = {}
     moved: dict[str, MapLine] = {}

@@ -52,13 +52,13 @@ def _layout(words: Mapping[str, int]) -> WordCloud:
     """Cloud with the largest letters at which all words fit.
 
     The size of a word follows from its count alone: linear from `MIN_LETTERS_PX` at no object to the
-    largest letters at the greatest count.
+    largest letters at the greatest count. Words that do not fit with the smallest letters are left out.
     """
     from wordcloud import WordCloud
 
     greatest = max(words.values())
     for largest in _LETTER_SIZES:
-        sizes_px = {word: MIN_LETTERS_PX + (largest - MIN_LETTERS_PX) * count / greatest for word, count in words.items()}
+        sizes_px = {word: round(MIN_LETTERS_PX + (largest - MIN_LETTERS_PX) * count / greatest) for word, count in words.items()}
         cloud = WordCloud(
             width=900,
             height=560,
@@ -68,18 +68,25 @@ def _layout(words: Mapping[str, int]) -> WordCloud:
             max_words=WORD_LIMIT,
             max_font_size=largest,
             min_font_size=MIN_LETTERS_PX,
-            relative_scaling=1.0,  # sizes as given; less would mix in the rank
+            relative_scaling=1.0,  # sizes as given: with less, the rank counts too
             background_color=PAPER.light,
             color_func=_color,
         ).generate_from_frequencies(sizes_px)
-        sizes = {(words[word], size) for (word, _), size, _, _, _ in cloud.layout_}
-        if len(cloud.layout_) == min(len(words), WORD_LIMIT) and len(sizes) == len({count for count, _ in sizes}):
-            break
+        # A word that found no place was drawn smaller, and rounding adds up from word to word.
+        is_as_stated = all(abs(size - sizes_px[word]) <= MAX_ROUNDING_PX for (word, _), size, _, _, _ in cloud.layout_)
+        sizes_by_count = {(words[word], size) for (word, _), size, _, _, _ in cloud.layout_}
+        has_one_size_each = len(sizes_by_count) == len({count for count, _ in sizes_by_count})
+        if len(cloud.layout_) == min(len(words), WORD_LIMIT) and is_as_stated and has_one_size_each:
+            return cloud
+    cloud.layout_ = [entry for entry in cloud.layout_ if abs(entry[1] - sizes_px[entry[0][0]]) <= MAX_ROUNDING_PX]
     return cloud
 
 
-_LETTER_SIZES = (150, 120, 96, 76, 60, 48, 38)
-"""Sizes [px] that are tried; the last is taken when the words do not fit even then."""
+_LETTER_SIZES = (150, 120, 96, 76, 60, 48, 38, 30, 24, 20, 16, 13, 11)
+"""Sizes of the largest letters [px] that are tried, in this order."""
+
+MAX_ROUNDING_PX = 1
+"""Largest deviation of a drawn size from the stated one [px]: sizes are whole pixels."""
 
 
 def _fitted(match: re.Match[str]) -> str:

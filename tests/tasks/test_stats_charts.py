@@ -247,7 +247,9 @@ def test_the_word_cloud_holds_every_category_larger_when_more_frequent() -> None
     assert words.word_cloud({}) is None
 
 
-@pytest.mark.parametrize("counts", [(200, 100, 50, 1), (9, 8, 7, 6, 5, 4, 3, 2, 1), (1000, 999, 2, 1, 1)])
+@pytest.mark.parametrize(
+    "counts", [(200, 100, 50, 1), tuple(range(9, 0, -1)), (1000, 999, 2, 1, 1), tuple(range(100, 60, -1)), (500, *range(32, 2, -1))]
+)
 def test_sizes_follow_the_counts_alone(counts: tuple[int, ...]) -> None:
     """Supplementary, Fig. A4: the font size represents the total count, not the rank."""
     cloud = words.word_cloud({f"kind {n}": count for n, count in enumerate(counts)})

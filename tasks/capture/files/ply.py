@@ -96,7 +96,8 @@ def texture_files(path: Path, root: Path) -> list[Path]:
     except (InputError, OSError):
         return []
     folders = Folders(root)
-    return sorted({file for name in names if (file := folders.find((name,), path.parent, path.parent)) is not None})
+    found_files = (folders.find((name,), path.parent, path.parent) for name in names)
+    return sorted({image for image in found_files if image is not None})
 
 
 def check_vertices(vertices: NDArray[np.float64], name: str) -> None:

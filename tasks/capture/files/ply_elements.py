@@ -50,8 +50,10 @@ def read_elements(data: bytes, start: int, order: str, elements: list[PlyElement
     for element in elements:
         if not element.fields:
             continue
-        read = _text_rows if not order else _binary_rows
-        columns, at = read(words if not order else data, at, order, element)  # type: ignore[operator]
+        if order:
+            columns, at = _binary_rows(data, at, order, element)
+        else:
+            columns, at = _text_rows(words, at, order, element)
         content.setdefault(element.name, columns)
     return content
 
@@ -257,10 +259,10 @@ def _corner_colors(face: Columns, triangles: Triangles) -> _Corners | None:
     if of_face is not None:
         return np.repeat(of_face[triangles.owner], 3, axis=0), np.ones(triangles.faces.size, np.bool_)
     for name, column in face.items():
-        if indices is None or column.counts is None or not re.fullmatch(r"(?i)(vertex_|wedge_)?colou?rs?", name):
+        if indices is None or indices.counts is None or column.counts is None or not re.fullmatch(r"(?i)(vertex_|wedge_)?colou?rs?", name):
             continue
         for channels in (3, 4):
-            if (column.counts == channels * indices.counts).all():
+            if np.array_equal(column.counts, channels * indices.counts):
                 corners = as_bytes(column.values.reshape(-1, channels)[:, :3], column.kind)
                 return corners[triangles.corners.ravel()], np.ones(triangles.faces.size, np.bool_)
     return None
@@ -288,7 +290,8 @@ def _textured(
 def _coordinates(vertex: Columns, face: Columns, triangles: Triangles) -> NDArray[np.float64] | None:
     """Texture coordinates of all corners of triangles, shape (3 m, 2)."""
     indices, lists = index_column(face), face.get("texcoord")
-    if indices is not None and lists is not None and lists.counts is not None and (lists.counts == 2 * indices.counts).all():
+    counts = None if indices is None else indices.counts
+    if lists is not None and lists.counts is not None and counts is not None and np.array_equal(lists.counts, 2 * counts):
         uv = lists.values.astype(np.float64).reshape(-1, 2)[triangles.corners.ravel()]
     else:
         names = next((pair for pair in _COORDINATES if all(name in vertex and vertex[name].counts is None for name in pair)), None)

@@ -7,7 +7,6 @@ arrays with dtype, shape and offset, or the problem.
 from __future__ import annotations
 
 import io
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from schemas.budget import BUDGET
+from schemas.parsing import json_value
 from tasks.confinement import answer, limit
 
 JOBS, DATA, DECODED = "jobs.json", "data.bin", "decoded.bin"
@@ -24,7 +24,7 @@ def main() -> None:
     """Decode every job in the folder that the arguments name."""
     folder, written = Path(sys.argv[1]), int(sys.argv[2])
     limit(int(sys.argv[3]), int(sys.argv[4]), written)
-    jobs, data = json.loads((folder / JOBS).read_text()), (folder / DATA).read_bytes()
+    jobs, data = json_value((folder / JOBS).read_bytes()), (folder / DATA).read_bytes()
     facts: list[dict[str, Any]] = []
     with (folder / DECODED).open("wb") as file:
         for job in jobs:
