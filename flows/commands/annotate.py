@@ -305,10 +305,12 @@ def list_tokens(
         row: dict[str, Any] = {
             "person": name,
             "roles": list(key.roles),
-            "state": "valid" if key.token else "withdrawn",
+            "state": "withdrawn" if key.token is None else "exposed" if keys.is_exposed else "valid",
             "since": key.since or None,
         }
         rows.append(row | ({"address": keys.address(name)} if is_shown else {}))
+    if keys.is_exposed:
+        click.echo(file.exposure(), err=True)
     if as_json:
         print(json.dumps({"batch_id": batch_id, "people": rows}))
         return
@@ -317,7 +319,7 @@ def list_tokens(
         words = [f"{row['person']:<{width}}", row["state"], f"since {row['since'] or 'an earlier version'}"]
         words += [" and ".join(row["roles"])] if row["roles"] else []
         print("  ".join([*words, *([row["address"]] if row.get("address") else [])]))
-    if not rows:
+    if not rows and not keys.is_exposed:
         print(f"no tokens yet; next: metascenes annotate serve {batch_id}")
 
 

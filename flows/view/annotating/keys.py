@@ -38,52 +38,59 @@ class Key:
 
 @dataclasses.dataclass(frozen=True)
 class Keys:
-    """Keys by name. port: the port that addresses were last given out with, 0 where none were; origin: the address without a path."""
+    """Keys by name. port: the port that addresses were last given out with, 0 where none were; origin: the address without a path.
+
+    is_exposed: True if other users may read or own the file. Its tokens let nobody in, and the next change replaces them.
+    """
 
     people: dict[str, Key]
     port: int = 0
     origin: str = ""
+    is_exposed: bool = False
 
     def address(self, name: str) -> str | None:
-        """The address that lets a person in; None where they have no token, or where no server was started yet."""
+        """The address that lets a person in; None where they have no valid token, or where no server was started yet."""
         token = self.people[name].token
-        return f"{self.origin}/?token={token}" if token and self.origin else None
+        return f"{self.origin}/?token={token}" if token and self.origin and not self.is_exposed else None
 
 
 class KeyFile:
     """The file of keys of a batch. Each change reads it again and replaces it under a lock, so that none is lost."""
 
     def __init__(self, file: Path) -> None:
-        self._file = file
+        self.file = file
         self._sign: tuple[int, ...] | None = None
         self._known: dict[str, str] = {}
 
     def read(self) -> Keys:
-        """The keys that the file has; tokens are replaced by new ones where others could have read them.
+        """The keys as the file has them; none from a link or from a file of another user.
 
         Raises:
             InputError: the file holds something else.
         """
         try:
-            kept = os.lstat(self._file)
+            status = os.lstat(self.file)
         except FileNotFoundError:
             return Keys({})
-        if not stat.S_ISREG(kept.st_mode) or kept.st_uid != os.geteuid():
-            return Keys({})
-        document = parse_json(read_file(self._file, self._file.name, BUDGET.text_bytes), str(self._file))
+        if not _is_own_file(status):
+            return Keys({}, is_exposed=True)
+        document = parse_json(read_file(self.file, self.file.name, BUDGET.text_bytes), str(self.file))
         keys = _keys_of(document)
         if keys is None:
-            raise InputError(str(self._file), "people", "is not a file of tokens", "remove it; the next start makes new addresses")
-        if stat.S_IMODE(kept.st_mode) & 0o077:
-            # A withdrawn person stays withdrawn: that is no secret.
-            return dataclasses.replace(keys, people={name: _renewed(key) if key.token else key for name, key in keys.people.items()})
-        return keys
+            raise InputError(str(self.file), "people", "is not a file of tokens", "remove it; the next start makes new addresses")
+        return dataclasses.replace(keys, is_exposed=not _is_private(status))
+
+    def exposure(self) -> str:
+        """Warning about an exposed file, with its remedy, in one line."""
+        problem = "is not private to this user, so its tokens let nobody in"
+        remedy = "serve the batch again, or give `metascenes annotate tokens BATCH --renew NAME`: both make new addresses for all"
+        return str(InputError(str(self.file), "mode", problem, remedy))
 
     def serve(self, roles: Mapping[str, tuple[str, ...]], port: int = 0, origin: str = "") -> Keys:
         """Keys for a server's people: new tokens for those who never had one. A port of 0 leaves port and origin as they were.
 
         Raises:
-            InputError: the file holds something else.
+            InputError: the file holds something else, or the file system does not keep it private.
         """
 
         def change(keys: Keys) -> Keys:
@@ -97,7 +104,7 @@ class KeyFile:
         """Withdraw tokens of people, and make new ones for others; the keys afterwards. `is_dry`: leave the file as it is.
 
         Raises:
-            InputError: a name is unknown, or the file holds something else.
+            InputError: a name is unknown, the file holds something else, or the file system does not keep it private.
         """
 
         def change(keys: Keys) -> Keys:
@@ -111,18 +118,22 @@ class KeyFile:
                 people[known] = _renewed(people[known])
             return dataclasses.replace(keys, people=people)
 
-        return change(self.read()) if is_dry or not self._file.parent.is_dir() else self._change(change)
+        return change(_without_exposed(self.read())) if is_dry or not self.file.parent.is_dir() else self._change(change)
 
     def people(self, names: Iterable[str]) -> dict[str, str]:
-        """Some people's names by token, as the file has them now. A file that is gone or damaged lets nobody in."""
+        """Some people's names by token, as the file has them now. A file that is gone, damaged or exposed lets nobody in."""
         try:
-            kept = os.lstat(self._file)
+            kept = os.lstat(self.file)
             sign: tuple[int, ...] = (kept.st_ino, kept.st_mtime_ns, kept.st_ctime_ns, kept.st_size, kept.st_mode)
         except OSError:
             sign = ()
         if sign != self._sign:
             try:
-                self._known = {key.token: name for name, key in self.read().people.items() if key.token}
+                keys = self.read()
+                if keys.is_exposed:
+                    _log.warning("%s", self.exposure())
+                people = {} if keys.is_exposed else keys.people
+                self._known = {key.token: name for name, key in people.items() if key.token}
             except InputError as error:
                 _log.warning("%s", error)
                 self._known = {}
@@ -131,11 +142,15 @@ class KeyFile:
         return {token: name for token, name in self._known.items() if name in wanted}
 
     def _change(self, change: Callable[[Keys], Keys]) -> Keys:
-        with locked(self._file.parent):
-            keys = change(self.read())
+        with locked(self.file.parent):
+            keys = change(_without_exposed(self.read()))
             people = {name: dataclasses.asdict(key) for name, key in keys.people.items()}
             document = {"port": keys.port, "origin": keys.origin, "people": people}
-            write_whole(self._file, json.dumps(document, ensure_ascii=False).encode(), cache=True)
+            write_whole(self.file, json.dumps(document, ensure_ascii=False).encode(), cache=True)
+            # Some file systems drop owner and mode: the new addresses would let nobody in.
+            if not _is_private(os.lstat(self.file)):
+                problem = "cannot be private: its file system does not keep owner and mode"
+                raise InputError(str(self.file), "mode", problem, "name a file on another file system with --drafts")
         return keys
 
     def _name(self, keys: Keys, name: str, option: str) -> str:
@@ -143,8 +158,25 @@ class KeyFile:
         known = {person(each): each for each in keys.people}
         if person(name) not in known:
             remedy = f"{meant(name, list(keys.people))}known are {', '.join(sorted(keys.people)) or 'none: no server was started'}"
-            raise InputError(str(self._file), option, f"{name[:100]!r} has no token of this batch", remedy)
+            raise InputError(str(self.file), option, f"{name[:100]!r} has no token of this batch", remedy)
         return known[person(name)]
+
+
+def _is_own_file(status: os.stat_result) -> bool:
+    return stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid()
+
+
+def _is_private(status: os.stat_result) -> bool:
+    """True if this user alone may read a file."""
+    return _is_own_file(status) and not stat.S_IMODE(status.st_mode) & 0o077
+
+
+def _without_exposed(keys: Keys) -> Keys:
+    """Keys with new tokens in place of exposed ones. Withdrawn people stay withdrawn: that is not a secret."""
+    if not keys.is_exposed:
+        return keys
+    people = {name: _renewed(key) if key.token else key for name, key in keys.people.items()}
+    return dataclasses.replace(keys, people=people, is_exposed=False)
 
 
 def _keys_of(document: Any) -> Keys | None:

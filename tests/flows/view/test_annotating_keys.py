@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import stat
 from concurrent.futures import ThreadPoolExecutor
@@ -16,8 +17,9 @@ from hypothesis import strategies as st
 from flows.cli import cli
 from flows.server.access import new_token
 from flows.view.annotating.hosting import key_file
-from flows.view.annotating.keys import KeyFile
+from flows.view.annotating.keys import KeyFile, Keys
 from schemas.errors import InputError
+from schemas.files import write_whole
 from tests.flows.view.batches import BATCH, asked_lake, serving
 
 ROLES = {"ada": ("annotator",), "rita": ("reviewer",)}
@@ -43,14 +45,60 @@ def test_tokens_stay_while_nobody_else_could_read_them(file: Path) -> None:
     assert first.address("ada") == f"{ORIGIN}/?token={first.people['ada'].token}"
     keys.change(["rita"], [])
     file.chmod(0o644)
-    assert first.people["ada"].token not in keys.people(ROLES), "others could have read it: a running server refuses it at once"
+    assert keys.people(ROLES) == {}, "others could have read it: a running server refuses it at once"
     replaced = keys.serve(ROLES)
     assert replaced.people["ada"].token not in (None, first.people["ada"].token)
     assert replaced.people["rita"].token is None, "withdrawn people stay so"
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     link = file.with_name("link")
     link.symlink_to(file)
-    assert KeyFile(link).read().people == {}
+    assert (KeyFile(link).read().people, KeyFile(link).people(ROLES)) == ({}, {})
+
+
+def test_reading_an_exposed_file_changes_no_token_and_the_next_change_replaces_all(file: Path, caplog: pytest.LogCaptureFixture) -> None:
+    server, command = KeyFile(file), KeyFile(file)
+    first = server.serve(ROLES, 8765, ORIGIN)
+    content = file.read_bytes()
+    file.chmod(0o644)
+    assert (server.people(ROLES), server.people(ROLES)) == ({}, {})
+    assert [record.getMessage() for record in caplog.records] == [server.exposure()], "said once"
+    assert command.read() == command.read() == dataclasses.replace(first, is_exposed=True)
+    assert command.read().address("ada") is None
+    assert command.change([], ["ada"], is_dry=True).people["rita"].token != first.people["rita"].token
+    assert file.read_bytes() == content
+    renewed = command.change([], ["ada"])
+    assert renewed == command.read()
+    assert server.people(ROLES) == {key.token: name for name, key in renewed.people.items()}, "every new address works"
+    assert not {key.token for key in renewed.people.values()} & {key.token for key in first.people.values()}
+
+
+def test_a_file_system_without_modes_is_refused_before_addresses_are_given(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = KeyFile(file).serve(ROLES, 8765, ORIGIN)
+
+    def write_open(path: Path, data: bytes, cache: bool) -> None:
+        write_whole(path, data, cache)
+        path.chmod(0o777)
+
+    monkeypatch.setattr("flows.view.annotating.keys.write_whole", write_open)
+    for act in (lambda: KeyFile(file).serve(ROLES), lambda: KeyFile(file).change(["ada"], [])):
+        with pytest.raises(InputError, match="its file system does not keep owner and mode; name a file on another") as refused:
+            act()
+        assert "\n" not in str(refused.value)
+    assert KeyFile(file).people(ROLES) == {}
+    monkeypatch.undo()
+    later = KeyFile(file).serve(ROLES)
+    assert later.people["ada"].token is None, "a withdrawal holds all the same"
+    assert later.people["rita"].token not in (None, first.people["rita"].token)
+
+
+def test_a_file_of_another_user_is_exposed(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = KeyFile(file)
+    keys.serve(ROLES, 8765, ORIGIN)
+    owner = file.stat().st_uid
+    monkeypatch.setattr("flows.view.annotating.keys.os.geteuid", lambda: owner + 1)
+    assert keys.read() == Keys({}, is_exposed=True)
+    with pytest.raises(InputError, match="does not keep owner and mode"):
+        keys.serve(ROLES)
 
 
 @pytest.mark.parametrize(
@@ -158,6 +206,17 @@ def test_the_command_lists_withdraws_and_renews(tmp_path: Path) -> None:
     assert str(keys.read().address("rita")) not in renewed
     assert keys.read().people["ada"].token not in (None, served.people["ada"].token)
     assert ask(lake, "--renew", "ada", "--withdraw", "ADA").exit_code == 2
+    drafts.with_name(f"{drafts.name}.tokens").chmod(0o640)
+    exposed = ask(lake, "--addresses", "--json")
+    rows = json.loads(exposed.stdout)["people"]
+    assert [(row["state"], row["address"]) for row in rows] == [("exposed", None), ("exposed", None)]
+    assert exposed.stderr == f"{keys.exposure()}\n"
+    assert "--renew NAME" in exposed.stderr
+    again = ask(lake, "--renew", "ada", "--addresses")
+    assert again.stderr == ""
+    for name, key in keys.read().people.items():
+        assert str(keys.read().address(name)) in again.stdout
+        assert keys.people(ROLES)[str(key.token)] == name
 
 
 @pytest.mark.whole
