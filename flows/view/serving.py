@@ -7,16 +7,16 @@ import html
 import os
 import socket
 import sys
-import tempfile
 import webbrowser
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from flows.server.access import new_token
 from flows.server.connections import bound, run_server
 from flows.view.gate import People, guarded
+from schemas.files import write_whole
+from schemas.machine.scratch import temporary_folder
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -79,14 +79,10 @@ def _leading_to(address: str) -> Iterator[str]:
 
     A browser is a process, and everybody on a machine reads the arguments of its processes.
     """
-    handle, name = tempfile.mkstemp(prefix="metascenes-", suffix=".html")  # of mode 0600
-    file = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as page:
-            page.write(_REDIRECT.format(html.escape(address)))
+    with temporary_folder() as folder:
+        file = folder / "open.html"
+        write_whole(file, _REDIRECT.format(html.escape(address)).encode(), cache=True)  # of mode 0600
         yield file.as_uri()
-    finally:
-        file.unlink(missing_ok=True)
 
 
 def _has_screen() -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -69,6 +70,17 @@ def test_the_next_start_removes_the_folder_of_a_killed_process(root: Path, start
     living.communicate("\n")
     assert living.returncode == 0
     assert list(root.iterdir()) == []
+
+
+def test_no_module_makes_temporary_files_that_nothing_sweeps() -> None:
+    """Files without a name (`TemporaryFile`) end with their process, and are permitted."""
+    found = {
+        path.relative_to(REPOSITORY).as_posix()
+        for room in ("schemas", "tasks", "warehouse", "flows")
+        for path in (REPOSITORY / room).rglob("*.py")
+        if re.search(r"\b(TemporaryDirectory|NamedTemporaryFile|SpooledTemporaryFile|mkdtemp|mkstemp|mktemp)\b", path.read_text())
+    }
+    assert found == {"schemas/machine/scratch.py"}
 
 
 def test_only_what_is_known_to_be_abandoned_is_removed(root: Path) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ import numpy as np
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.machine.scratch import temporary_folder
 from tasks.confinement import Limits, run_child
 from tasks.geometry.gltf.arrays import DTYPES, WIDTHS, Array, Arrays, natural
 from tasks.geometry.gltf.child import DATA, DECODED, JOBS
@@ -60,11 +59,10 @@ def decode(jobs: list[DecodingJob], max_bytes: int, file: str) -> list[Decoded]:
     written = min(max_bytes + 2**20, BUDGET.scene_bytes)
     limits = Limits.of_file(ends[-1], written)
     limits = dataclasses.replace(limits, memory=limits.memory + 2 * written)
-    with tempfile.TemporaryDirectory(prefix="gltf-", ignore_cleanup_errors=True) as name:
-        folder = Path(name)
+    with temporary_folder() as folder:
         (folder / JOBS).write_text(json.dumps(listed))
         (folder / DATA).write_bytes(b"".join(job.data for job in jobs))
-        facts = run_child(_CODE, [name, str(written)], folder, limits, file)["jobs"]
+        facts = run_child(_CODE, [str(folder), str(written)], folder, limits, file)["jobs"]
         data = read_file(folder / DECODED, file, written)
     return [_decoded(fact, data) for fact in facts]
 

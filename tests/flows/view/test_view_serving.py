@@ -17,6 +17,7 @@ from click.testing import CliRunner, Result
 
 from flows.commands.view import command
 from flows.view import bundle, serving
+from schemas.machine.scratch import temporary_folders
 from tests.flows.view.lakes import OBJECTS, SCENES, shown_lake
 from warehouse.lake import Lake
 
@@ -41,6 +42,7 @@ def ask(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable
         file = Path(unquote(urlsplit(address).path))
         if file.is_file():
             assert stat.S_IMODE(file.stat().st_mode) == 0o600
+            assert file.parent in temporary_folders(), "it is removed after a kill, too"
             pages.append(file.read_text())
         return True
 
@@ -64,7 +66,7 @@ def test_the_browser_is_led_to_what_is_printed(ask: Callable[..., tuple[Result, 
     target = re.search(r'content="0;url=([^"]*)"', page)
     assert target is not None
     assert html.unescape(target[1]) == printed
-    assert not Path(unquote(urlsplit(address).path)).exists(), "it goes with the server"
+    assert not Path(unquote(urlsplit(address).path)).parent.exists(), "it goes with the server"
 
 
 def test_scripts_get_the_same_address_and_no_browser(ask: Callable[..., tuple[Result, list[str], list[str]]]) -> None:

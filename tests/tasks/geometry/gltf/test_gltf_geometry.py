@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
 
 from schemas.errors import InputError
+from schemas.machine.scratch import temporary_folders
+from tasks.confinement import Limits, run_child
 from tasks.containers import open_glb, weigh_glb
 from tasks.geometry.gltf.plain import read_features, triangles_of
 from tasks.geometry.meshes import Surface, load_glb, surface_of
@@ -37,6 +43,20 @@ def test_a_table_is_the_same_by_every_feature(name: str) -> None:
     assert mesh.volume == pytest.approx(expected.to_trimesh().volume, abs=10 * tolerance), "faces look outward"
     if tolerance <= 1e-4 and name != "mirrored":  # whose diagonals are mirrored, too
         assert np.allclose(corners_of(found), corners_of(expected), atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["draco", "meshopt"])
+def test_compressed_contents_lie_in_a_folder_that_is_swept_after_a_kill(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = list[bool]()
+
+    def watch(code: str, words: list[str], folder: Path, limits: Limits, file: str) -> Mapping[str, Any]:
+        seen.append(folder in temporary_folders())
+        return run_child(code, words, folder, limits, file)
+
+    monkeypatch.setattr("tasks.geometry.gltf.decoding.run_child", watch)
+    assert len(surface_in(TABLES[name]()).faces) == 60
+    assert seen
+    assert all(seen)
 
 
 @pytest.mark.parametrize("name", TABLES)
