@@ -91,6 +91,7 @@ def _wrong(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     seconds = document.get("seconds", 0.0)
     if type(seconds) not in (int, float) or not 0 <= seconds <= LARGEST:
         yield "seconds", f"must be a number of at least 0, is {shown(seconds)}"
+    names = set[tuple[str, ...]]()
     for place, figure in enumerate(document["measures"]):
         if not isinstance(figure, dict):
             yield "measures", f"item {place + 1} must be a table, is {shown(figure)}"
@@ -98,6 +99,10 @@ def _wrong(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield "measures", f"item {place + 1} has a number that is too large"
         elif any(isinstance(value, str) and not is_one_line(value) for value in figure.values()):
             yield "measures", f"item {place + 1} has a text with a new line or a control character"
+        elif _name_of(figure) in names:
+            yield "measures", f"item {place + 1} repeats the figure {cut(', '.join(_name_of(figure)))}"
+        else:
+            names.add(_name_of(figure))
 
 
 WITHDRAWN = "withdrawn: "
@@ -108,7 +113,7 @@ _FACTS = ("kind", "architecture", "parameter_count", "license", "dataset", "data
 
 
 def refuse_difference(name: str, document: Mapping[str, Any], known: Mapping[str, Any], owner: str) -> None:
-    """Compare a model's document with the one known for the same weights. A figure that only `known` has is not a difference.
+    """Compare a model's document with the one known for the same weights. A figure that only one of them has is not a difference.
 
     Args:
         name: file name of `document` for messages.
@@ -120,8 +125,12 @@ def refuse_difference(name: str, document: Mapping[str, Any], known: Mapping[str
         InputError: a field differs.
     """
     pairs = [(field, _comparable(document, field), _comparable(known, field)) for field in _FACTS]
-    known_figures = _figures_by_name(known)
-    pairs += [(f"measures of {place}", value, known_figures.get(place)) for place, value in _figures_by_name(document).items()]
+    known_figures = {_name_of(figure): _values_of(figure) for figure in known["measures"]}
+    pairs += [
+        (f"measures of {', '.join(_name_of(figure))}", _values_of(figure), known_figures[_name_of(figure)])
+        for figure in document["measures"]
+        if _name_of(figure) in known_figures
+    ]
     for field, value, other in pairs:
         if value != other:
             problem = f"is {shown(value)}, and {shown(other)} in {owner} with the same weights"
@@ -134,14 +143,14 @@ def _comparable(document: Mapping[str, Any], field: str) -> Any:
     return [note for note in value if not note.startswith(WITHDRAWN)] if field == "notes" else value
 
 
-def _figures_by_name(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Value, interval and number of examples for each figure."""
-    return {
-        ", ".join(str(figure[key]) for key in ("method", "dataset", "split", "metric")): [
-            figure[key] for key in ("value", "low", "high", "examples")
-        ]
-        for figure in document["measures"]
-    }
+def _name_of(figure: Mapping[str, Any]) -> tuple[str, ...]:
+    """Method, dataset, split and metric of a figure."""
+    return tuple(str(figure.get(key)) for key in ("method", "dataset", "split", "metric"))
+
+
+def _values_of(figure: Mapping[str, Any]) -> list[Any]:
+    """Value, interval and number of examples of a figure."""
+    return [figure[key] for key in ("value", "low", "high", "examples")]
 
 
 @dataclasses.dataclass(frozen=True)

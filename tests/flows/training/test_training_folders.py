@@ -19,7 +19,7 @@ from flows.training.folders import document_of, export_model, import_model, with
 from flows.training.models import listed_models, shipped_models, shipped_rows
 from flows.training.training import planned_training, system_configuration
 from schemas.errors import InputError
-from schemas.training import LearnedModel
+from schemas.training import LearnedModel, ModelEvaluation
 from tasks.models import ModelFolder, identity_json, model_id_of
 from tasks.selection.model.config import OwnImage, OwnText, PointNet2, SelectionModel, Small
 from tasks.selection.model.shapes import shapes_of
@@ -173,7 +173,7 @@ OTHER_FACTS: list[tuple[dict[str, Any], str]] = [
     ({"is_fallback": True}, "is_fallback: is True, and False in"),
     ({"seed": 1}, "seed: is 1, and 0 in"),
     ({"measures": [FIGURE | {"value": 0.9}]}, "measures of selection, d, test, m: is [0.9, None, None, 3], and [0.5, None, None, 3] in"),
-    ({"measures": [FIGURE, FIGURE | {"metric": "n"}]}, "measures of selection, d, test, n: is [0.5, None, None, 3], and None in"),
+    ({"measures": [FIGURE | {"metric": "n"}, FIGURE | {"low": 0.4}]}, "measures of selection, d, test, m: is [0.5, 0.4, None, 3], and"),
 ]
 
 
@@ -196,6 +196,33 @@ def test_the_same_weights_with_other_facts_are_refused(
     assert "with the same weights; ask its author for the unchanged folder" in str(refused.value)
     assert "\n" not in str(refused.value)
     assert (lake.snapshot().rows(LearnedModel) if lake.exists else []) == before
+
+
+@pytest.mark.parametrize("origin", ["imported", "withdrawn", "bundled"])
+def test_a_newer_export_with_other_figures_is_the_known_model(
+    lake: Lake, tmp_path: Path, origin: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Figures that one side alone has are no difference, and those of the folder are not taken in."""
+    first = folder(tmp_path / "first", measures=[FIGURE, FIGURE | {"metric": "a, b", "split": "c"}])
+    if origin == "bundled":
+        monkeypatch.setattr(models_of_lake, "shipped_models", lambda kind=None: iter([("small", ModelFolder(first))]))
+    else:
+        import_model(lake, first)
+    if origin == "withdrawn":
+        withdraw_model(lake, model_row().model_id, "by mistake")
+    before = lake.snapshot().rows(ModelEvaluation) if lake.exists else []
+    newer = [FIGURE | {"metric": "b", "split": "c, a", "value": 0.7}, FIGURE, FIGURE | {"metric": "n"}]
+    row, is_new = import_model(lake, folder(tmp_path / "second", measures=newer))
+    assert (row.model_id, is_new) == (model_row().model_id, origin == "withdrawn")
+    assert (lake.snapshot().rows(ModelEvaluation) if lake.exists else []) == before
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_repeated_figure_is_refused(lake: Lake, tmp_path: Path, is_known: bool) -> None:
+    if is_known:
+        import_model(lake, folder(tmp_path / "first", measures=[FIGURE]))
+    with pytest.raises(InputError, match=r"measures: item 2 repeats the figure selection, d, test, m; export the model again$"):
+        import_model(lake, folder(tmp_path / "second", measures=[FIGURE | {"value": 0.9}, FIGURE]))
 
 
 def test_a_bundled_model_is_the_same_after_export_and_import(lake: Lake, tmp_path: Path) -> None:
