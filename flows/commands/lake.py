@@ -198,10 +198,11 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
     erased_traces: list[Traces] = []
 
     def forget(traces: Traces, hashes: frozenset[str]) -> None:
-        erased_traces.append(dataclasses.replace(traces, hashes=hashes))
+        with_hashes = dataclasses.replace(traces, hashes=hashes)
+        erased_traces.append(with_hashes)
         cached.append(erase_from_caches(traces, hashes) + len(sweep_temporary_folders()))
         drafts.append(erase_drafts(lake, traces))
-        prefect.append(erase_from_prefect(traces))
+        prefect.append(erase_from_prefect(with_hashes))
 
     lake = existing_lake(address)
     also = furnished_anew(lake, scene)

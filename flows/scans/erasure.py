@@ -17,7 +17,7 @@ from schemas.files import write_whole
 from schemas.record import BLOB_PATTERN
 from tasks.batches import parse_json
 from warehouse.upkeep.erasure import Traces
-from warehouse.upkeep.erasure.proof import Proof, hits_in
+from warehouse.upkeep.erasure.proof import Proof, hits_in, paths_below, unreadable_hits
 
 
 def erase_from_caches(traces: Traces, hashes: Collection[str], folder: Path | None = None) -> int:
@@ -88,7 +88,7 @@ def search_temporary(traces: Traces) -> Proof:
     """Look for the scene in the project's temporary files: those of a process that is at work may name it."""
     proof = Proof(0, 0, 0, ())
     for entry in temporary_entries():
-        for path in [entry, *entry.rglob("*")]:
+        for path in (entry, *paths_below(entry)):
             proof |= _search(path, traces)
     return proof
 
@@ -97,6 +97,6 @@ def _search(path: Path, traces: Traces) -> Proof:
     """Look for the scene in the name of a path and in the content of a file; whoever owns it may remove it meanwhile."""
     try:
         data = path.read_bytes() if path.is_file() and not path.is_symlink() else b""
-    except OSError:
-        return Proof(0, 0, 0, ())
+    except OSError as error:
+        return Proof(0, 0, 0, tuple(unreadable_hits(path, error)))
     return Proof(1, len(data), 0, tuple(hits_in(str(path), data, traces)))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import dataclasses
 import json
 import os
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -187,7 +189,10 @@ def test_results_and_queues_of_the_home_go_and_other_files_are_found(own_machine
     ("api", "database_url", "named"),
     [
         ("", "sqlite+aiosqlite:////home/prefect.db", []),
-        ("http://127.0.0.1:4200/api", "sqlite+aiosqlite:////home/prefect.db", []),
+        ("http://127.0.0.1:4200/api", "sqlite+aiosqlite:////home/prefect.db", ["unless it uses", "127.0.0.1:4200/api/task_runs", "psql"]),
+        ("http://joe:s3cret@far:4200/api", "sqlite+aiosqlite:////home/prefect.db", ["POST http://far:4200/api/task_runs/filter"]),
+        ("http://joe:p/s3cret@[::1]:4200/api?key=s3cret", "sqlite+aiosqlite:////home/prefect.db", ["http://[::1]:4200/api/task_runs/ID"]),
+        ("", "postgresql+asyncpg://ann:a/s3cret@db.example/prefect?password=s3cret", ["database prefect on db.example)"]),
         ("https://prefect.example/api", "sqlite+aiosqlite:////home/prefect.db", ["https://prefect.example/api/task_runs/filter", "psql"]),
         ("", "postgresql+asyncpg://ann:s3cret@db.example:5432/prefect", ["db.example", "psql"]),
         ("http://127.0.0.1:4200/api", "postgresql+asyncpg://ann:s3cret@db.example/prefect", ["db.example", "psql"]),
@@ -198,6 +203,58 @@ def test_what_this_machine_cannot_reach_is_named(api: str, database_url: str, na
     assert bool(lines) == bool(named)
     assert all(word in lines for word in [*named, *(["scene0001_00"] if named else [])])
     assert "s3cret" not in lines
+    assert "joe" not in lines
+
+
+def test_a_port_of_this_machine_is_trusted_only_if_its_process_has_the_database_open(
+    database: sqlite3.Connection, own_machine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A token file stays when a tunnel or a container takes the port, so that it proves nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        (own_machine / "prefect" / f"metascenes-{port}.token").write_text("token")
+        monkeypatch.setenv("PREFECT_API_URL", f"http://127.0.0.1:{port}/api")
+        assert erase_from_prefect(TRACES, dry_run=True).remains == ()
+        database.close()
+        assert erase_from_prefect(TRACES, dry_run=True).remains != ()
+    assert erase_from_prefect(TRACES, dry_run=True).remains != ()
+
+
+def test_rows_and_files_that_hold_only_a_removed_hash_go(database: sqlite3.Connection, own_machine: Path) -> None:
+    gone, other = "ab" * 32, "cd" * 32
+    database.execute("INSERT INTO log VALUES (?, NULL, ?), (?, NULL, ?)", (number(), f"wrote {gone}", number(), f"wrote {other}"))
+    (own_machine / "prefect" / "storage").mkdir()
+    (own_machine / "prefect" / "storage" / "result").write_text(gone)
+    traces = dataclasses.replace(TRACES, hashes=frozenset([gone]))
+    erase_from_prefect(traces)
+    assert search_prefect(traces).hits == ()
+    assert gone.encode() not in file_bytes(own_machine / "prefect")
+    assert (f"wrote {other}",) in held(database, "log", "message")
+
+
+def test_files_that_vanish_or_have_strange_names_stop_no_search(own_machine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = own_machine / "prefect"
+    strange = Path(os.fsdecode(os.fsencode(home / "storage") + b"/scene0001_00_\xff"))
+    for path in (home / "storage" / "brief", home / "locked", strange):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("short")
+    real = Path.read_bytes
+
+    def read_bytes(path: Path) -> bytes:
+        if path.name == "locked":
+            raise PermissionError(path)
+        if path.name == "brief":
+            path.unlink(missing_ok=True)
+        return real(path)
+
+    monkeypatch.setattr(Path, "read_bytes", read_bytes)
+    hits = search_prefect(TRACES).hits
+    assert {(hit.path, hit.place) for hit in hits} == {
+        (str(home / "locked"), "cannot be read"), (f"{home}/storage/scene0001_00_\\xff", "name")
+    }  # fmt: skip
+    (home / "storage" / "brief").write_text("short")
+    assert erase_from_prefect(TRACES).files == 1
+    assert not strange.exists()
 
 
 def test_the_statement_for_postgres_names_every_spelling() -> None:
@@ -302,13 +359,37 @@ def test_names_of_others_are_spared() -> None:
 @pytest.mark.whole
 def test_the_statement_for_postgres_removes_and_redacts(tmp_path: Path) -> None:
     escaped = json.dumps(f"a line\n{HOME}")
+    task, kept_task, artifact = number(), number(), number()
+    message = f"2 failed:\n{HOME}: captions: a wardrobe is too small\n{OTHER}: no floor"
+    parameters = {"scenes": [HOME, OTHER], "note": f"a\n{HOME} a wardrobe", "none": [], "empty": "", "count": 2}
     with postgres_server(tmp_path) as service:
         service.query(
-            "CREATE TABLE task_run (name TEXT, inputs JSON); CREATE TABLE flow_run (name VARCHAR, parameters JSONB); "
-            f"INSERT INTO task_run VALUES ('{HOME} captions', '{{}}'), ('demo/scene0001_00_b x', '{{}}'), ('{OTHER}', '[\"{HOME}\"]'), "
-            f"('{OTHER}', NULL), ('{OTHER}', '{escaped}'); "
-            f'INSERT INTO flow_run VALUES (\'both\', \'{{"scenes": ["{HOME}", "{OTHER}"]}}\')'
+            "CREATE TABLE task_run (id UUID PRIMARY KEY, name TEXT, inputs JSON); "
+            "CREATE TABLE task_run_state (id UUID PRIMARY KEY, task_run_id UUID NOT NULL REFERENCES task_run(id) ON DELETE CASCADE, "
+            "message TEXT); CREATE TABLE flow_run (name VARCHAR, parameters JSONB); CREATE TABLE variable (name TEXT UNIQUE, value JSON); "
+            "CREATE TABLE log (id UUID, task_run_id UUID, message TEXT); CREATE TABLE artifact (id UUID, task_run_id UUID, data JSON); "
+            "CREATE TABLE artifact_collection (latest_id UUID, data JSON); CREATE TABLE event_resources (resource JSONB); "
+            f"INSERT INTO task_run VALUES ('{task}', '{HOME} captions', '{{}}'), ('{number()}', 'demo/scene0001_00_b x', '{{}}'), "
+            f"('{number()}', '{OTHER}', '[\"{HOME}\"]'), ('{kept_task}', '{OTHER}', '{{\"above\": \"{task}\"}}'), "
+            f"('{number()}', '{OTHER}', '{escaped}'); "
+            f"INSERT INTO task_run_state VALUES ('{number()}', '{task}', ''), ('{number()}', '{kept_task}', '{message}'); "
+            f"INSERT INTO log VALUES ('{number()}', '{task}', 'described a wardrobe'), ('{number()}', '{kept_task}', 'described a desk'); "
+            f"INSERT INTO artifact VALUES ('{artifact}', '{task}', '[]'), ('{number()}', '{kept_task}', '[1]'); "
+            f"INSERT INTO artifact_collection VALUES ('{artifact}', '[]'), ('{number()}', '[1]'); "
+            f'INSERT INTO event_resources VALUES (\'{{"id": "prefect.task-run.{task}"}}\'), '
+            f'(\'{{"id": "prefect.task-run.{kept_task}"}}\'); '
+            f"INSERT INTO variable VALUES ('scene0001_00', '1'), ('demo_scene0001_00', '{json.dumps(parameters)}'); "
+            f"INSERT INTO flow_run VALUES ('both', '{json.dumps(parameters)}')"
         )
         service.query(postgres_statement(TRACES))
         assert service.query("SELECT name FROM task_run ORDER BY 1") == [["demo/scene0001_00_b x"], [OTHER]]
-        assert service.query("SELECT parameters FROM flow_run") == [[json.dumps({"scenes": ["erased", OTHER]})]]
+        assert service.query("SELECT message FROM task_run_state") == [[f"2 failed:\nerased\n{OTHER}: no floor"]]
+        assert service.query("SELECT message FROM log") == [["described a desk"]]
+        for table in ("artifact", "artifact_collection"):
+            assert service.query(f"SELECT data FROM {table}") == [["[1]"]], table
+        assert service.query("SELECT resource ->> 'id' FROM event_resources") == [[f"prefect.task-run.{kept_task}"]]
+        redacted = {**parameters, "scenes": ["erased", OTHER], "note": "a\nerased"}
+        assert json.loads(service.query("SELECT parameters FROM flow_run")[0][0]) == redacted
+        variables = service.query("SELECT name, value FROM variable ORDER BY length(value::text)")
+        assert [name.partition("-")[0] for name, _ in variables] == ["erased", "erased"]
+        assert [json.loads(value) for _, value in variables] == [1, redacted]

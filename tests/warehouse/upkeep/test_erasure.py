@@ -22,8 +22,9 @@ from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import flows.scans.erasure
 from flows.cli import cli
-from flows.scans.erasure import erase_from_caches
+from flows.scans.erasure import erase_from_caches, search_temporary
 from flows.scans.mirror import facts_of
 from schemas.errors import InputError
 from schemas.runs import StageRun
@@ -38,7 +39,7 @@ from warehouse.sharing.writer import new_token, this_writer
 from warehouse.tables.digest import digests
 from warehouse.upkeep import erasure
 from warehouse.upkeep.erasure import erase
-from warehouse.upkeep.erasure.proof import search
+from warehouse.upkeep.erasure.proof import Proof, search
 from warehouse.upkeep.erasure.traces import Traces, traces_of
 from warehouse.upkeep.inspection import inspect
 
@@ -493,6 +494,36 @@ def test_a_repeated_erasure_keeps_the_snapshots_of_an_undisturbed_one(
     assert inspect(killed).findings == ()
 
 
+@pytest.mark.whole
+@pytest.mark.parametrize("step", ["_remove_staged", "_put_in_force"])
+def test_the_plan_of_an_earlier_version_is_carried_out(filled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    """It does not say which snapshot was the last one: an older erasure's snapshot is not taken for its own."""
+    shutil.copytree(filled, tmp_path / "lake")
+    lake = Lake.open(tmp_path / "lake")
+    erase(lake, SCENES[-1])
+    first = lake.snapshot().snapshots[-1]
+    lake.stage_rows(stage_run(SCENES[0], "exports", fingerprint("g"), at=70, outcome="failed", error="full", error_kind="input"))
+    lake.commit("meanwhile")
+    real = getattr(erasure._Work, step)
+
+    def then_die(*arguments: Any) -> None:
+        real(*arguments)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(erasure._Work, step, then_die)
+        with pytest.raises(KeyboardInterrupt):
+            erase(lake, HOME)
+    plan = Path(lake.address) / "erasure.json"
+    fields = json.loads(plan.read_text())
+    assert fields.pop("last") == first.snapshot_id + 1
+    plan.write_text(json.dumps(fields))
+    erase(lake, HOME)
+    rows = lake.snapshot().snapshots
+    assert [row.snapshot_id for row in rows if row.note == erasure.NOTE] == [rows[-1].snapshot_id]
+    assert rows[-1].snapshot_id > first.snapshot_id + 1
+
+
 def kills(folder: Path, filled: Path, *arguments: str) -> list[dict[str, Any]]:
     command = [sys.executable, "-m", "tests.warehouse.upkeep.upkeep_kills", *arguments, str(filled), str(folder)]
     answer = subprocess.run(
@@ -562,3 +593,22 @@ def test_temporary_folders_that_tell_of_the_scene_are_found_and_dead_ones_go(lak
     shutil.rmtree(living)
     answer = CliRunner().invoke(cli, command)
     assert (answer.exit_code, json.loads(answer.output)["proof"]["hits"]) == (0, [])
+
+
+def test_temporary_files_that_vanish_or_have_strange_names_stop_no_search(own_machine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = own_machine / "tmp" / "metascenes-trial"
+    for name in ("first", "second"):
+        (place / name).mkdir(parents=True)
+    (place / os.fsdecode(b"scene0001_00_\xff")).write_text("short")
+    real = flows.scans.erasure._search
+
+    def search_and_remove(path: Path, traces: Traces) -> Proof:
+        """Search a path; its owner removes the folders next to it meanwhile."""
+        for name in ("first", "second"):
+            if path.parent == place:
+                shutil.rmtree(place / name, ignore_errors=True)
+        return real(path, traces)
+
+    monkeypatch.setattr(flows.scans.erasure, "_search", search_and_remove)
+    hits = search_temporary(traces_of(HOME, [HOME], SCENES)).hits
+    assert [(hit.path, hit.place) for hit in hits] == [(f"{place}/scene0001_00_\\xff", "name")]

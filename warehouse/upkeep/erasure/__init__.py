@@ -119,7 +119,7 @@ class _Work:
         self._lake, self._scene, self._rows, self._lease = lake, scene_id, rows, lease
         self._every = lake.snapshot().snapshots
         named = {release.snapshot_id for release in released(lake.storage)}
-        if begun is not None:
+        if begun is not None and begun.last is not None:
             named.add(begun.last)
         self._kept = [row for row in self._every if row is self._every[-1] or row.snapshot_id in named or _is_marker(row, begun)]
         self._going = tuple(row.snapshot_id for row in self._every if row not in self._kept)
@@ -344,7 +344,9 @@ class _Work:
 
 def _is_marker(row: Snapshot, plan: ErasurePlan | None) -> bool:
     """True if an attempt at this very erasure added the snapshot."""
-    return plan is not None and row.note == NOTE and row.snapshot_id > plan.last
+    if plan is None or row.note != NOTE:
+        return False
+    return row.created_at >= plan.started_at if plan.last is None else row.snapshot_id > plan.last
 
 
 def _trained_on(lake: Lake, scene_id: str) -> tuple[str, ...]:

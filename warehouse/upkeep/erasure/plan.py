@@ -19,8 +19,9 @@ class ErasurePlan:
     """An erasure under way.
 
     `started_at`: beginning of the first attempt. `blobs`, `assets`, `releases`: those that name the scene.
-    `last`: id of the last snapshot at the first attempt, which stays; 0 if the lake had none. Without it a repetition
-    would take the snapshot that this very erasure added for the last one, and drop the one before.
+    `last`: id of the last snapshot at the first attempt, which stays; 0 if the lake had none, None if an earlier version
+    wrote the plan. Without it a repetition would take the snapshot that this very erasure added for the last one, and drop
+    the one before.
     """
 
     scene_id: str
@@ -29,7 +30,7 @@ class ErasurePlan:
     blobs: frozenset[str]
     assets: frozenset[str]
     releases: frozenset[str]
-    last: int = 0
+    last: int | None = None
 
     def __or__(self, other: ErasurePlan) -> ErasurePlan:
         """Both, as begun by this one."""
@@ -61,8 +62,8 @@ def read_plan(storage: Storage) -> ErasurePlan | None:
         fields = json_value(data)
         if not isinstance(fields, dict):
             raise TypeError(fields)
-        last = fields.get("last", 0)  # an earlier version wrote none
-        if not isinstance(last, int):
+        last = fields.get("last")  # an earlier version wrote none
+        if not isinstance(last, int | None):
             raise TypeError(last)
         sets = {name: frozenset(map(str, fields[name])) for name in ("names", "spared", "blobs", "assets", "releases")}
         begun = datetime.fromisoformat(fields["started_at"])

@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import gzip
 import io
+import os
 import sqlite3
 import zipfile
 import zlib
@@ -88,6 +89,19 @@ def hits_in(path: str, data: bytes, traces: Traces, place: str = "contents") -> 
     return [dataclasses.replace(hit, place=place) if hit.place == "contents" else hit for hit in hits]
 
 
+def paths_below(folder: Path) -> Iterator[Path]:
+    """Paths below a folder, those of links included. Folders that are removed meanwhile are left out."""
+    for place, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            yield Path(place, name)
+
+
+def unreadable_hits(path: Path, error: OSError) -> list[Hit]:
+    """A hit for a file that cannot be read; none if its owner removed it meanwhile."""
+    is_gone = isinstance(error, FileNotFoundError | NotADirectoryError)
+    return [] if is_gone else [Hit(_shown(str(path)), "cannot be read", 1, ())]
+
+
 def search_file(path: Path, traces: Traces) -> list[Hit]:
     """Hits in the bytes of a file of any size, without unpacking it; none if there is no such file."""
     traced: list[str] = []
@@ -106,7 +120,7 @@ def _looked_through(path: str, data: bytes, traces: Traces) -> tuple[int, list[H
     """Rows that were decoded, and what was found."""
     hits: list[Hit] = []
     rows = 0
-    places = [("name", path.encode()), ("contents", data)]
+    places = [("name", os.fsencode(path)), ("contents", data)]
     for place, content in (*places, *_unpacked(path, data)):
         if traced := list(traces.in_bytes(content)):
             hits.append(_hit(path, place, traced))
@@ -118,7 +132,12 @@ def _looked_through(path: str, data: bytes, traces: Traces) -> tuple[int, list[H
 
 
 def _hit(path: str, place: str, traced: list[str]) -> Hit:
-    return Hit(path, place, len(traced), tuple(sorted(set(traced)))[:_SHOWN])
+    return Hit(_shown(path), place, len(traced), tuple(sorted(set(traced)))[:_SHOWN])
+
+
+def _shown(path: str) -> str:
+    """A path that can be printed, although names of files need not be UTF-8."""
+    return os.fsencode(path).decode(errors="backslashreplace")
 
 
 def _unpacked(path: str, data: bytes) -> Iterator[tuple[str, bytes]]:

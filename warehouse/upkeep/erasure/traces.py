@@ -45,7 +45,7 @@ class Traces:
 
     def in_text(self, text: str) -> bool:
         """Whether a text holds a name or a hash."""
-        return any(True for _ in self.in_bytes(text.encode()))
+        return any(True for _ in self.in_bytes(text.encode(errors="surrogatepass")))  # of paths that are not UTF-8
 
     def in_bytes(self, data: bytes) -> Iterator[str]:
         """The names and hashes that bytes hold, as often as they do."""
