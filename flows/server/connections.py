@@ -170,6 +170,10 @@ class LimitedProtocol(H11Protocol):
 
     def _watch(self) -> None:
         """Limit the time of what is awaited now: the head of a request or its body."""
+        if self.transport.get_protocol() is not self:
+            # A WebSocket took over the connection, which may be open for days.
+            self._stop_timer()
+            return
         state = self.conn.their_state
         if state is self._watched or self._discarded is not None:
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import logging
@@ -9,6 +10,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ import httpx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from websockets.sync.client import connect as open_websocket
 
 from flows.server import connections
 from flows.server.access import admit
@@ -36,6 +39,9 @@ HALF_OPEN = {
     "body": b"POST /api/x HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 1000000000\r\n\r\nabc",
 }
 MAX_LOG_BYTES = 4096
+
+MAX_SILENCE_SECONDS = 60.0
+"""Until a test fails whose connection says nothing and does not end; a busy machine answers within seconds."""
 
 
 class Line:
@@ -101,21 +107,21 @@ async def application(scope: Any, receive: Any, send: Any) -> None:
 
 @pytest.fixture
 def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Callable[[], socket.socket]]]:
-    """Starts a server with other limits; opens connections to it."""
+    """Starts a server with other limits; opens connections to it, which are silent for `MAX_SILENCE_SECONDS` at most."""
     with contextlib.ExitStack() as stack:
 
-        def start(app: Any = application, most: int = 6, **limits: float) -> Callable[[], socket.socket]:
+        def start(app: Any = application, most: int = 6, has_sockets: bool = False, **limits: float) -> Callable[[], socket.socket]:
             for name, value in ({"MAX_IDLE_SECONDS": 1000, "MAX_HEAD_SECONDS": 1000} | limits).items():
                 monkeypatch.setattr(connections, name, value)
             monkeypatch.setattr(connections, "connection_limit", lambda: most)
             listening = stack.enter_context(bound("127.0.0.1", 0))
             listening.listen()
-            address, server = listening.getsockname(), limited_server(app)
+            address, server = listening.getsockname(), limited_server(app, has_sockets=has_sockets)
             thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
             thread.start()
             stack.callback(thread.join)
             stack.callback(setattr, server, "should_exit", True)
-            return lambda: stack.enter_context(socket.create_connection(address))
+            return lambda: stack.enter_context(socket.create_connection(address, MAX_SILENCE_SECONDS))
 
         yield start
 
@@ -131,11 +137,22 @@ def answer(connection: socket.socket, request: bytes = b"") -> bytes:
 
 
 def has_ended(connection: socket.socket) -> bool:
-    """Waits for the end of a connection."""
+    """Wait for the end of a connection. False if it stays open without a byte for the socket's timeout."""
     with contextlib.suppress(ConnectionError):
-        while connection.recv(65536):
-            pass
+        try:
+            while connection.recv(65536):
+                pass
+        except TimeoutError:
+            return False
     return True
+
+
+def test_a_connection_that_stays_open_is_noticed(started: Callable[..., Callable[[], socket.socket]]) -> None:
+    """Otherwise a limit that is broken would stop the tests instead of failing them."""
+    connection = started()()
+    assert connection.gettimeout() == MAX_SILENCE_SECONDS
+    connection.settimeout(0.05)
+    assert not has_ended(connection)
 
 
 @pytest.mark.parametrize("sent", HALF_OPEN.values(), ids=list(HALF_OPEN))
@@ -181,6 +198,33 @@ def test_a_body_that_stalls_is_not_waited_for(started: Callable[..., Callable[[]
     connection = started(MAX_BODY_SECONDS=0.05)()
     connection.sendall(KNOWN.replace(b"\r\n\r\n", b"\r\nContent-Length: 5\r\n\r\nab"))
     assert has_ended(connection)
+
+
+@pytest.mark.parametrize("is_first_request", [True, False])
+def test_a_websocket_outlasts_the_limits_of_requests(
+    started: Callable[..., Callable[[], socket.socket]], monkeypatch: pytest.MonkeyPatch, is_first_request: bool
+) -> None:
+    """The server's clock goes on by more than any limit while messages are exchanged: every timer that was left expires."""
+
+    async def echo(scope: Any, receive: Any, send: Any) -> None:
+        if scope["type"] != "websocket":
+            await application(scope, receive, send)
+            return
+        await receive()
+        await send({"type": "websocket.accept"})
+        while (message := await receive())["type"] == "websocket.receive":
+            if message["text"] == "later":
+                monkeypatch.setattr(asyncio.get_running_loop(), "time", lambda: time.monotonic() + 1e6)
+                await asyncio.sleep(0.001)  # a timer behind those that are due
+            await send({"type": "websocket.send", "text": message["text"]})
+
+    connection = started(echo, has_sockets=True)()
+    if not is_first_request:
+        assert b" 401 " in answer(connection, b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+    with open_websocket("ws://127.0.0.1/", sock=connection, proxy=None, open_timeout=MAX_SILENCE_SECONDS) as client:
+        for text in ("first", "later", "after it", "last"):
+            client.send(text)
+            assert client.recv(MAX_SILENCE_SECONDS) == text
 
 
 @pytest.mark.parametrize("length", [b"Content-Length: 100000000000", b"Transfer-Encoding: chunked"])
