@@ -114,24 +114,25 @@ def run_apart(command: Sequence[str], folder: Path, timeout_s: float, more: Mapp
     clock = time.monotonic()
     if shutil.which(command[0]) is None:
         raise FileNotFoundError(errno.ENOENT, "there is no such program", command[0])
-    theirs, ours = os.pipe()
-    with os.fdopen(ours, "wb", buffering=0) as lifeline, tempfile.TemporaryFile() as error_file:
-        guarded = [sys.executable, "-I", "-S", str(GUARD), str(theirs), *command]
-        try:
-            guard = subprocess.Popen(
-                guarded, cwd=folder, env=child_environment() | dict(more or {}), pass_fds=[theirs],
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=error_file, start_new_session=True,
-            )  # fmt: skip
-        finally:
-            os.close(theirs)
-        try:
-            code: int | None = guard.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            code = None
-        finally:
-            # Without the other end of its pipe, the guard ends all that is left.
-            lifeline.close()
-            guard.wait()
+    with tempfile.TemporaryFile() as error_file:
+        theirs, ours = os.pipe()
+        with os.fdopen(ours, "wb", buffering=0) as lifeline:
+            guarded = [sys.executable, "-I", "-S", str(GUARD), str(theirs), *command]
+            try:
+                guard = subprocess.Popen(
+                    guarded, cwd=folder, env=child_environment() | dict(more or {}), pass_fds=[theirs],
+                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=error_file, start_new_session=True,
+                )  # fmt: skip
+            finally:
+                os.close(theirs)
+            try:
+                code: int | None = guard.wait(timeout_s)
+            except subprocess.TimeoutExpired:
+                code = None
+            finally:
+                # Without the other end of its pipe, the guard ends all that is left.
+                lifeline.close()
+                guard.wait()
         error_file.seek(max(error_file.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
         error_text = error_file.read().decode(errors="replace").strip()
     if code == NOT_STARTED and error_text.startswith(NOT_STARTED_LINE):

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import click
@@ -104,6 +105,14 @@ def test_words_and_exit_codes_go_through(tmp_path: Path) -> None:
     (tmp_path / "text").chmod(0o755)
     with pytest.raises(CommandFailed, match="cannot be started: Exec format error"):
         run_command([str(tmp_path / "text")], tmp_path, 600.0)
+
+
+def test_no_file_stays_open_without_a_temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nothing"))
+    open_files = set(os.listdir("/dev/fd"))
+    with pytest.raises(FileNotFoundError):
+        run_apart([sys.executable, "-c", ""], tmp_path, 600.0)
+    assert set(os.listdir("/dev/fd")) <= open_files
 
 
 OPTION_LIKE = ("--out=/etc/passwd", "-o/etc/passwd", "-", "--", "---", "-1", "--help", "-\n", "--out")
