@@ -1,7 +1,8 @@
 """Nodes that hold more than their name says: floors and ceilings that a program joined with walls and furniture of the same material.
 
 `gltf-transform optimize` joins meshes of one material under the name of the first. The names of the others are lost, their pieces are
-not: pieces that are shaped like walls are walls, and all others are objects without a label.
+not: pieces that are shaped like walls are walls, and all others are objects without a label. A node without upright pieces is left
+alone, and large flat pieces keep its label at any height: floors of several levels, platforms, lowered ceilings.
 """
 
 from __future__ import annotations
@@ -22,6 +23,12 @@ FLAT = ("floor", "ceiling")
 
 MAX_RELIEF_M = 0.3
 """Height of a piece that is still part of a floor or a ceiling, and above or below it [m]: steps, skirting boards, beams."""
+
+MAX_PLATFORM_HEIGHT_M, MIN_PLATFORM_WIDTH_M, MIN_PLATFORM_AREA_M2 = 0.5, 1.5, 6.0
+"""Size of a piece that is a floor or a ceiling at any height [m, m2]: a bed or a table is smaller, a sofa is higher."""
+
+MIN_FILLED_SHARE = 0.5
+"""Share of its box in the plan that such a piece covers: a ring of moldings covers less."""
 
 MIN_WALL_HEIGHT_M, MIN_WALL_LENGTH_M, MAX_WALL_DEPTH_M = 1.5, 1.0, 0.3
 """Size of a wall [m]: a door is shorter, a wardrobe is deeper."""
@@ -44,8 +51,8 @@ def split_joined(groups: tuple[Group, ...], surface: Surface, file: str) -> tupl
             walls = sum(piece.raw_label == "wall" for piece in pieces)
             object_count = len(pieces) - 1 - walls
             notes.append(
-                f"{file}: node {group.source_id!r:.60} also holds {walls} walls and {object_count} other objects, "
-                "which have lost their names: a program joined meshes of one material "
+                f"{file}: node {group.source_id!r:.60} also has the shapes of {walls} walls and {object_count} other objects, "
+                "read as these: perhaps a program joined meshes of one material and dropped their names "
                 "(gltf-transform optimize keeps them with --join false)"
             )
     return tuple(split_groups), tuple(notes)
@@ -64,17 +71,23 @@ def _pieces(group: Group, surface: Surface) -> list[Group]:
     sizes = high - low
     largest = int(np.argmax(sizes[:, 0] * sizes[:, 1]))
     # The largest piece keeps the name of its node, whatever its shape: a shell in one piece is not taken apart.
+    areas = np.bincount(piece, weights=_plan_areas(corners), minlength=count).astype(np.float64)
+    has_label = _platforms(sizes, areas)
+    has_label[largest] = True
     is_floor = group.raw_label.strip().lower() == "floor"
-    distance = high[:, 2] - high[largest, 2] if is_floor else low[largest, 2] - low[:, 2]
-    is_own = (sizes[:, 2] <= MAX_RELIEF_M) & (distance <= MAX_RELIEF_M)
-    is_own[largest] = True
+    level = high[:, 2] if is_floor else -low[:, 2]
+    rise = level[:, None] - level[has_label]
+    is_near = (np.abs(rise) <= MAX_RELIEF_M).any(axis=1) | (rise <= MAX_RELIEF_M).all(axis=1)
+    is_low = sizes[:, 2] <= MAX_RELIEF_M
+    is_own = has_label | (is_low & is_near)
+    # Without upright pieces nothing tells of another object: boards and steps are part of what the node says.
+    if (is_own | is_low).all():
+        return [group]
     depth, length = np.sort(sizes[:, :2], axis=1).T
     is_wall = ~is_own & (sizes[:, 2] >= MIN_WALL_HEIGHT_M) & (length >= MIN_WALL_LENGTH_M) & (depth <= MAX_WALL_DEPTH_M)
     labels = np.where(is_own, 0, -1)
     labels[is_wall] = 1 + np.arange(is_wall.sum())
     labels[labels < 0] = 1 + is_wall.sum() + _touching(low[labels < 0], high[labels < 0])
-    if not labels.any():
-        return [group]
     split_groups = []
     for number in range(int(labels.max()) + 1):
         faces = group.faces[labels[piece] == number]
@@ -84,6 +97,21 @@ def _pieces(group: Group, surface: Surface) -> list[Group]:
             dataclasses.replace(group, source_id=source, raw_label=word, faces=faces, vertices=np.unique(surface.faces[faces]))
         )  # fmt: skip
     return split_groups
+
+
+def _platforms(sizes: Array, areas: Array) -> NDArray[np.bool_]:
+    """True for pieces that are floors or ceilings by their own shape. sizes: of boxes [m], shape (k, 3). areas: in the plan [m2], (k,)."""
+    plan = sizes[:, 0] * sizes[:, 1]
+    is_flat = (sizes[:, 2] <= MAX_PLATFORM_HEIGHT_M) & (sizes[:, :2].min(axis=1) >= MIN_PLATFORM_WIDTH_M)
+    result: NDArray[np.bool_] = is_flat & (plan >= MIN_PLATFORM_AREA_M2) & (areas >= MIN_FILLED_SHARE * plan)
+    return result
+
+
+def _plan_areas(corners: Array) -> Array:
+    """Area of each triangle in the plan [m2], shape (m,). corners: shape (m, 3, 3)."""
+    first, second = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
+    areas: Array = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
+    return areas
 
 
 def _connected(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:

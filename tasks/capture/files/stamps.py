@@ -13,7 +13,7 @@ STAMP_SECONDS = 0.02
 
 _NUMBER = re.compile(r"\d+\.\d+|\d+", re.ASCII)
 _TIME = re.compile(r"(?:.*[^\d.])?(\d{1,18}\.\d{1,18})", re.ASCII | re.DOTALL)
-_SPLIT = re.compile(r"(?:.*\D)?(\d{9,10})[_-](\d{1,9})", re.ASCII | re.DOTALL)
+_SPLIT = re.compile(r"(?:.*\D)?([1-9]\d{8,9})[_-](\d{1,9})", re.ASCII | re.DOTALL)
 
 _UNITS = {10: 1.0, 13: 1e3, 16: 1e6, 19: 1e9}
 """Units per second of times since 1970, by their digits: seconds to nanoseconds from the year 2001 on."""
@@ -27,7 +27,7 @@ def natural_order(name: str) -> tuple[tuple[Decimal, ...], str]:
 def time_of(name: str) -> float | None:
     """Time [s] that a name ends with: `rgb_1305031102.175304`, seconds and nanoseconds, or nanoseconds since 1970.
 
-    None if the name ends with a shorter whole number or with none.
+    None if the name ends with a shorter whole number, one with leading zeros (a frame's number), or none.
     """
     if match := _TIME.fullmatch(name):
         return float(match[1])
@@ -35,7 +35,8 @@ def time_of(name: str) -> float | None:
         # Robots write the nanoseconds of a time as a number of their own, with or without leading zeros.
         return int(match[1]) + int(match[2]) * (1e-6 if len(match[2]) == 6 else 1e-9)
     digits = last_digits(name)
-    return int(digits) / _UNITS[len(digits)] if len(digits) in _UNITS else None
+    is_time = len(digits) in _UNITS and not digits.startswith("0")
+    return int(digits) / _UNITS[len(digits)] if is_time else None
 
 
 def in_seconds(times: Sequence[float]) -> list[float]:
@@ -52,9 +53,9 @@ def last_digits(name: str) -> str:
 
 
 def number_of(name: str) -> int | None:
-    """Whole number of at most nine digits that a name ends with, otherwise None."""
+    """Whole number of at most nine digits, leading zeros not counted, that a name ends with, otherwise None."""
     digits = last_digits(name)
-    return int(digits) if 0 < len(digits) <= 9 else None
+    return int(digits) if digits and len(digits.lstrip("0")) <= 9 else None
 
 
 def associated(first: Sequence[float], second: Sequence[float], seconds: float = STAMP_SECONDS) -> list[tuple[int, int]]:

@@ -57,6 +57,7 @@ def read_trajectory(
     """The pose of each frame, camera to scan frame, 4x4 [m], None where the file has none; and the reason, by frame.
 
     Time stamps and frame numbers of the file decide which pose belongs to a frame; without them the number of the row does.
+    Frame numbers count images that are named by time in the order of their times.
 
     Args:
         path: the trajectory.
@@ -286,7 +287,11 @@ def _matched(rows: _PoseRows, keys: Sequence[str], name: str, notes: list[str]) 
         notes.append(f"{name}: has {count} poses for {len(keys)} images: an image gets the row of its number, counted from 0")
         return [i if i is not None and i < count else None for i in indices]
     if None not in times:
-        return [_nearest(stamps, time) for time in times if time is not None]
+        known_times = [time for time in times if time is not None]
+        nearest = [_nearest(stamps, time) for time in known_times]
+        if not rows.has_numbers or _are_seconds(nearest, known_times, count):
+            return nearest
+        return _by_order(stamps, known_times, name, notes)
     if rows.has_numbers:
         return _by_number(rows.stamps, indices, is_as_many, name, notes)
     if not is_as_many:
@@ -298,6 +303,31 @@ def _matched(rows: _PoseRows, keys: Sequence[str], name: str, notes: list[str]) 
         problem = f"its time {stamps[late]:.6f} is before that of the row above, and the images have no times"
         raise InputError(name, f"row {late}", f"{problem}: rows and times state two orders", "sort the rows, or name images by time")
     return list(range(count))
+
+
+def _are_seconds(nearest: Sequence[int | None], times: Sequence[float], count: int) -> bool:
+    """True if whole numbers of poses are times [s]: all poses or all images find a partner, or some do at images of whole seconds.
+
+    nearest: the row of each image by time. times: of the images [s]. count: number of rows.
+    """
+    paired_rows = {row for row in nearest if row is not None}
+    is_whole = all(abs(time - round(time)) <= STAMP_SECONDS for time in times)
+    return bool(paired_rows) and (is_whole or len(paired_rows) == min(count, len(times)))
+
+
+def _by_order(stamps: NDArray[np.float64], times: Sequence[float], name: str, notes: list[str]) -> list[int | None]:
+    """Rows of images in the order of time by their frame numbers, None for all if numbers and images may be of different frames."""
+    counts = f"numbers {len(stamps)} poses from {stamps.min():g} to {stamps.max():g}, and {len(times)} images are named by time"
+    steps = np.diff(np.sort(stamps))
+    # A number that is missing may be that of a pose or of an image: only even steps leave no doubt.
+    if len(stamps) != len(times) or (len(steps) and not (steps[0] > 0 and (steps == steps[0]).all())):
+        notes.append(f"{name}: {counts}: not paired; write a pose for each image, or name images by number")
+        return [None] * len(times)
+    notes.append(f"{name}: {counts}: paired in the order of numbers and times")
+    row_of: list[int | None] = [None] * len(times)
+    for image, row in zip(np.argsort(times, kind="stable"), np.argsort(stamps), strict=True):
+        row_of[int(image)] = int(row)
+    return row_of
 
 
 def _by_number(stamps: Sequence[float], indices: Sequence[int | None], is_as_many: bool, name: str, notes: list[str]) -> list[int | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from schemas.errors import InputError
 from tasks.capture.files.frames import exported_frames
 from tasks.capture.files.images import read_depth
 from tasks.capture.files.lenses import matrix_intrinsics
-from tasks.capture.files.stamps import associated, in_seconds, natural_order, partners, time_of
+from tasks.capture.files.stamps import associated, in_seconds, natural_order, number_of, partners, time_of
 from tasks.capture.files.trajectory import read_trajectory
 from tasks.capture.layout import frame_ids, frame_layout
 
@@ -109,6 +109,55 @@ def test_two_ways_of_counting_are_a_note(tmp_path: Path) -> None:
     notes.clear()
     assert paired(f"0 0 0 {EYE}\n" * 5, ["0", "1", "2"], tmp_path, notes)[0] == [0, 0, 0]
     assert "has 5 poses for 3 images" in notes[0]
+
+
+@given(st.integers(0, 999_999_999), st.integers(1, 24))
+def test_a_number_with_leading_zeros_is_no_time(number: int, digits: int) -> None:
+    for name in (f"{number:0{digits}d}", f"frame_{number:0{digits}d}"):
+        assert number_of(name) == number
+        assert time_of(name) is None
+    assert number_of(f"0{number:09d}_000001") == 1
+
+
+@pytest.mark.parametrize("digits", [6, 9, 10, 13, 16, 19])
+def test_poses_of_numbered_images_of_any_width(digits: int, tmp_path: Path) -> None:
+    """With stamps of their own, with numbers, as many unstamped rows or more."""
+    keys = [f"{index:0{digits}d}" for index in range(3)]
+    for heads, count in (([stamp(index) for index in range(3)], 3), (["0", "1", "2"], 3), ([""] * 3, 3), ([""] * 4, 4)):
+        text = "".join(f"{heads[index % 3]} {index}.0 0 0 {EYE}\n" for index in range(count))
+        assert paired(text, keys, tmp_path) == ([0, 1, 2], {})
+
+
+def written_numbers(numbers: Sequence[float], is_log: bool) -> str:
+    """A trajectory whose poses have their number as x."""
+    if is_log:
+        return "".join(f"{k} {k} {k + 1}\n1 0 0 {k}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n" for k in numbers)
+    return "".join(f"{k} {k}.0 0 0 {EYE}\n" for k in numbers)
+
+
+@pytest.mark.parametrize("is_log", [False, True])
+@pytest.mark.parametrize("start", [0.0, 1305031102.1])
+@pytest.mark.parametrize("numbers", [range(40), range(39, -1, -1), range(1, 41), range(0, 200, 5)])
+def test_numbers_of_poses_count_images_in_the_order_of_time(numbers: Sequence[int], start: float, is_log: bool, tmp_path: Path) -> None:
+    keys, notes = [f"{start + index / 30:.6f}" for index in range(40)], list[str]()
+    assert paired(written_numbers(numbers, is_log), keys[::-1], tmp_path, notes) == (sorted(numbers)[::-1], {})
+    counts = f"numbers 40 poses from {min(numbers)} to {max(numbers)}, and 40 images are named by time"
+    assert notes == [f"groundtruth.txt: {counts}: paired in the order of numbers and times"]
+
+
+@pytest.mark.parametrize("numbers", [range(39), range(50), [*range(20), *range(21, 41)]])
+def test_numbers_that_may_be_of_other_frames_than_the_images_pair_none(numbers: Sequence[int], tmp_path: Path) -> None:
+    """Also where single numbers are near the times of images."""
+    keys, notes = [f"{index / 30:.6f}" for index in range(40)], list[str]()
+    poses, reasons = paired(written_numbers(numbers, is_log=False), keys, tmp_path, notes)
+    assert poses == [None] * 40
+    assert set(reasons) == set(range(40))
+    assert notes[0].endswith("40 images are named by time: not paired; write a pose for each image, or name images by number")
+
+
+def test_whole_numbers_are_times_of_images_at_whole_seconds(tmp_path: Path) -> None:
+    assert paired(written_numbers(range(2, 9), is_log=False), ["1.0", "2.01", "3.0"], tmp_path)[0] == [None, 2, 3]
+    assert paired(written_numbers(range(3), is_log=False), ["0.0", "0.5", "1.0", "1.5", "2.0"], tmp_path)[0] == [0, None, 1, None, 2]
 
 
 def test_times_of_poses_alone_need_rows_in_order(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -81,7 +82,43 @@ def test_a_floor_that_was_joined_with_walls_and_furniture_comes_apart(tmp_path: 
     }  # fmt: skip
     assert sorted(np.concatenate([group.faces for group in reading.groups]).tolist()) == list(range(len(reading.surface.faces)))
     (note,) = [note for note in reading.degradations if "joined" in note]
-    assert note.startswith("room.glb: node 'floor' also holds 2 walls and 1 other objects") or "joined/room.glb" in note
+    assert "room.glb: node 'floor' also has the shapes of 2 walls and 1 other objects, read as these: perhaps a program" in note
+
+
+Boxes = Sequence[tuple[tuple[float, float, float], tuple[float, float, float]]]
+
+LEVELS: dict[str, Boxes] = {
+    "floor": [((8, 0.1, 8), (0, -0.05, 0)), ((6, 0.1, 6), (0, 3, 0))],
+    "floor_steps": [((8, 0.1, 8), (0, -0.05, 0)), *(((1, 0.18, 0.3), (3, 0.18 * k, 0.3 * k)) for k in range(9))],
+    "floor_platform": [((8, 0.1, 8), (0, -0.05, 0)), ((3, 0.45, 2.5), (2, 0.23, 2)), ((1.2, 0.05, 0.3), (-3, 0.5, 0))],
+    "ceiling": [((8, 0.1, 8), (0, 2.6, 0)), ((4, 0.05, 3), (0, 2.1, 0)), ((0.5, 0.2, 0.5), (0, 1.9, 0))],
+}  # fmt: skip
+
+
+def joined_boxes(boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
+    parts = [box(*placed) for placed in boxes]
+    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate([part[1] + 8 * k for k, part in enumerate(parts)])
+
+
+@pytest.mark.parametrize("name", LEVELS)
+def test_flat_pieces_at_any_height_keep_the_label_of_their_node(tmp_path: Path, name: str) -> None:
+    made = room_of(gltf_files.plain())
+    made.node(f"{name.partition('_')[0]}_2", mesh=made.mesh(*joined_boxes(LEVELS[name])))
+    reading = reading_of(tmp_path / "room", made)
+    assert sorted(group.raw_label for group in reading.groups or ()) == sorted([name.partition("_")[0], "floor", "table", "wall", "wall"])
+    assert not any("shapes of" in note for note in reading.degradations)
+
+
+def test_levels_of_a_floor_that_was_joined_with_furniture_stay_a_floor(tmp_path: Path) -> None:
+    """Also with a rug on the upper level, and a ring of moldings that is no level."""
+    ring: Boxes = [((8, 0.1, 0.1), (0, 2, -4)), ((8, 0.1, 0.1), (0, 2, 4)), ((0.1, 0.1, 7.9), (-4, 2, 0)), ((0.1, 0.1, 7.9), (4, 2, 0))]
+    boxes = [*LEVELS["floor"], ((1, 0.02, 1), (0, 3.1, 0)), ((0.6, 1.8, 0.6), (2, 3.95, 2)), *ring]
+    made = Gltf()
+    made.node("floor", mesh=made.mesh(*joined_boxes(boxes)))
+    made.node("chair_1", mesh=made.mesh(*box((0.4, 0.9, 0.6), (2, 0.45, 0))))
+    reading = reading_of(tmp_path / "room", made)
+    faces = {group.source_id: len(group.faces) for group in reading.groups or ()}
+    assert faces == {"floor": 36, "floor_joined_1": 12, "floor_joined_2": 48, "chair_1": 12}
 
 
 def test_a_floor_with_steps_and_skirting_boards_is_a_floor(tmp_path: Path) -> None:
