@@ -12,6 +12,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from flows.cli import cli
 from flows.scans.erasure import erase_from_caches, search_temporary
 from flows.scans.mirror import facts_of
 from schemas.errors import InputError
-from schemas.runs import StageRun
+from schemas.runs import Snapshot, StageRun
 from schemas.tables import TABLES
 from tasks.pipeline import SCENE_STAGES
 from tests.conftest import REPOSITORY
@@ -522,6 +523,23 @@ def test_the_plan_of_an_earlier_version_is_carried_out(filled: Path, tmp_path: P
     rows = lake.snapshot().snapshots
     assert [row.snapshot_id for row in rows if row.note == erasure.NOTE] == [rows[-1].snapshot_id]
     assert rows[-1].snapshot_id > first.snapshot_id + 1
+
+
+def test_a_plan_without_the_last_snapshot_takes_only_younger_snapshots_for_its_own(tmp_path: Path) -> None:
+    start = datetime(2030, 1, 1, tzinfo=UTC)
+    storage = Lake.open(tmp_path / "lake").storage
+    plan = erasure.ErasurePlan(HOME, start, traces_of(HOME, [HOME], SCENES), frozenset(), frozenset(), frozenset(), 0)
+    rows = [Snapshot(snapshot_id=7, created_at=start + timedelta(days=days), tables=(), note=erasure.NOTE) for days in (-1, 1)]
+    for last, expected in ((None, [False, True]), (0, [True, True]), (7, [False, False])):
+        dataclasses.replace(plan, last=last).write(storage)
+        found = erasure.read_plan(storage)
+        assert found is not None
+        assert (found.last, [erasure._is_marker(row, found) for row in rows]) == (last, expected)
+    fields = json.loads(storage.read("erasure.json"))
+    storage.write("erasure.json", json.dumps({name: value for name, value in fields.items() if name != "last"}).encode())
+    found = erasure.read_plan(storage)
+    assert found is not None
+    assert found.last is None
 
 
 def kills(folder: Path, filled: Path, *arguments: str) -> list[dict[str, Any]]:
