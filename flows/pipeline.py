@@ -285,7 +285,7 @@ def replicate(
         def replan(scene: ScenePlan, retry: bool) -> ScenePlan | None:
             return planned_again(store, scene, configuration, retry)
 
-        is_whole = not (scenes or first or last or since or until)
+        is_whole = format == "auto" and not (scenes or first or last or since or until)
         refused_before = keep_refusals(store, scans, plan, began, is_whole=is_whole, waiting=waiting)
         coordinator = Coordinator(plan, store, configuration, fan_out, replan, retry_failed=retry_failed)
         report = _carry_out(plan, store, coordinator, scans, dataset, fan_out, began, refused_before)
@@ -297,7 +297,8 @@ def replicate(
 
 
 def state_of(report: RunReport) -> State[Any]:
-    """How a run ends in Prefect: failed if a scene failed again, a scan was refused, or a scene was not begun."""
+    """How a run ends in Prefect: `Failed` if a scene failed that had not failed before on the same input, a scan was refused, or a
+    scene was not begun."""
     anew = [line for line in report.failures if line not in report.known and line not in report.refused]
     refused = sorted(report.refused, key=lambda line: line in report.known)  # news first
     parts = [f"{counted(len(report.done), 'scene')} done", f"{len(report.unchanged) + len(report.shared)} up to date"]

@@ -18,6 +18,9 @@ _POSE_FOLDERS = ("pose", "poses")
 _FLAT = re.compile(r"(?P<key>.*?\d+)[._-](?P<what>color|colour|rgb|depth|pose)\.(?P<suffix>[A-Za-z]+)")
 """Frames side by side in one folder: `frame-000000.color.jpg`, `frame-000000.depth.pgm`, `frame-000000.pose.txt`."""
 
+_LISTS = (("rgb.txt", "depth.txt"), ("odometry.csv", "camera_matrix.csv"))
+"""Lists of TUM RGB-D and of Stray Scanner, next to folders that are called as those of exported frames are."""
+
 _TRAJECTORIES = (
     "trajectory.log", "trajectory.txt", "traj.txt", "poses.txt", "pose.txt", "groundtruth.txt", "poses.log",
     "livingroom.freiburg", "CameraTrajectory.txt",
@@ -70,7 +73,7 @@ def frame_layout(folder: Path, premises: Premises | None = None, above: bool = F
     too, as where several walks were recorded with one camera.
     """
     premises = premises or Premises((folder,))
-    for place in (folder, *filter(premises.admits, folders_in(folder))):
+    for place in (folder, *(place for place in folders_in(folder) if premises.admits(place) and not _is_recording(place))):
         frames = _paired(place, premises) or _flat(place, premises)
         if frames:
             places = (place, folder)
@@ -89,6 +92,11 @@ def frame_layout(folder: Path, premises: Premises | None = None, above: bool = F
 def is_framed(folder: Path) -> bool:
     """Whether `folder` is one of exported frames by the names in it, wherever links among them lead."""
     return bool(_paired(folder, None) or _flat(folder, None))
+
+
+def is_frame_name(name: str) -> bool:
+    """Whether a file is called as one of frames that lie side by side in one folder."""
+    return _FLAT.fullmatch(name) is not None
 
 
 def frame_ids(keys: Iterable[str]) -> list[str]:
@@ -110,6 +118,11 @@ def _paired(place: Path, premises: Premises | None) -> list[FrameFiles]:
     depth_of, pose_of = partners(list(colors), list(depths)), partners(list(colors), list(poses))
     keys = sorted(colors, key=natural_order)
     return [FrameFiles(key, colors[key], depths.get(depth_of.get(key, "")), poses.get(pose_of.get(key, ""))) for key in keys]
+
+
+def _is_recording(place: Path) -> bool:
+    """True if a folder is a recording of a format of its own by the lists in it: its frames are not those of the scan above it."""
+    return any(all((place / name).exists() for name in names) for names in _LISTS)
 
 
 def _unpaired(place: Path, frames: Sequence[FrameFiles], premises: Premises | None) -> tuple[Path, ...]:

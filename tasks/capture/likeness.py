@@ -59,8 +59,13 @@ _PARTS = ("*.np[yz]", "*.exr", "*.mp4", "*.mov", "color/*", "rgb/*")
 IMAGES = (".jpg", ".jpeg", ".png", ".webp", ".tga", ".bmp", ".tif", ".tiff", ".exr", ".hdr", ".ktx2", ".dds")
 """Endings of textures."""
 
-_JUNK = frozenset({"thumbs.db", "desktop.ini", "icon\r", "__macosx"})
-"""What operating systems leave in folders, besides hidden files."""
+MATERIALS = frozenset((*IMAGES, ".mtl", ".txt", ".bin"))
+"""Endings of textures and of their lists; frames have no others."""
+
+_JUNK = frozenset({
+    "thumbs.db", "desktop.ini", "icon\r", "__macosx", "lost+found", "system volume information", "$recycle.bin", "@eadir",
+})  # fmt: skip
+"""What operating systems leave in folders and on disks, besides hidden files."""
 
 
 def likeness(folder: Path, formats: Sequence[ScanFormat]) -> tuple[str, str] | None:
@@ -99,7 +104,7 @@ def convertible(folder: Path) -> dict[str, list[str]]:
 def is_material(folder: Path) -> bool:
     """True if a folder holds textures and their lists, and nothing else."""
     paths = list(visible(folder))
-    return bool(paths) and all(path.suffix.lower() in (*IMAGES, ".mtl", ".txt", ".bin") for path in paths)
+    return bool(paths) and all(path.suffix.lower() in MATERIALS for path in paths)
 
 
 def visible(folder: Path) -> Iterator[Path]:

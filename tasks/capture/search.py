@@ -9,16 +9,14 @@ from pathlib import Path
 from schemas.errors import InputError
 from schemas.files import stays_in
 from schemas.wording import counted
-from tasks.capture.layout import folders_in
+from tasks.capture.enclosed import MAX_DEPTH_BELOW, enclosed_scans, recorded_format, scan_folders
+from tasks.capture.layout import folders_in, is_framed
 from tasks.capture.likeness import IMAGES, convertible, is_junk, is_material, likeness, telling_format, visible
 from tasks.capture.products import is_product, product_of
 from tasks.capture.scan import PassedOver, Scan, ScanFormat, UnusableScan, files_named, leaving, matches
 
 MAX_DEPTH = 2
 """Folders in folders that are searched for scans; collections have none deeper."""
-
-MAX_DEPTH_BELOW = 4
-"""Folders below a scan or below the search in which meshes are still named."""
 
 MAX_NAMES_BELOW = 20_000
 """Names that are looked at below a folder: frames may be millions, and meshes are few."""
@@ -109,19 +107,22 @@ def _of_folder(folder: Path, wanted: Search, depth: int) -> Found:
     if depth == 0 and (product := product_of(folder)):
         return [], [UnusableScan(InputError(folder.name, "folder", f"is {product} of metascenes and not a scan", _OTHER), folder)]
     recorded = _recorded(folder, wanted)
-    unread = _unread(folder, recorded, wanted) if recorded is not None else []
-    if recorded is not None and not (unread and _format(recorded, wanted).within is not None):
-        return [recorded], ([_unread_line(folder, recorded, unread)] if unread else [])
+    if recorded is not None:
+        format = _format(recorded, wanted)
+        unread, inner = _unread(folder, recorded, wanted), _inner(folder, recorded, wanted)
+        if format.within is None or not (unread or inner):
+            return [recorded], _not_read(folder, recorded, unread, inner)
     if depth and not wanted.admits(folder):
         return [], [UnusableScan(leaving(folder), folder)]
     parts = {path: (format, name) for format in wanted.wanted if format.within is not None for path, name in format.within(folder)}
     meshes = [path for path in files_named(folder, wanted.suffixes) if path not in parts and not is_junk(path.name)]
-    meshes = [path for path in meshes if path not in _models(meshes, list(parts))]
+    models = _models(meshes, list(parts))
+    meshes = [path for path in meshes if path not in models]
     written = [path for path in meshes if wanted.admits(path) and is_product(path)]
-    meshes = [path for path in meshes if path not in written]
+    meshes = sorted({*meshes} - {*written})
     incomplete = telling_format(folder, wanted.wanted) if len(wanted.wanted) > 1 else None
     withheld = [path for path in meshes if incomplete is not None and getattr(wanted.format_of(path), "is_last_resort", False)]
-    meshes = [path for path in meshes if path not in withheld]
+    meshes = sorted({*meshes} - {*withheld})
     below, errors = _below(folder, wanted, depth, [*meshes, *parts])
     alone = meshes[0] if len(meshes) == 1 and not parts and not below and not withheld and not written else None
     is_folder_of_one = alone is not None and not any(isinstance(error, UnusableScan) and not _is_of_no_scan(error) for error in errors)
@@ -136,7 +137,7 @@ def _of_folder(folder: Path, wanted: Search, depth: int) -> Found:
     if written:
         errors.append(_written_line(folder, f"{_listed(written, folder)}"))
     if withheld and (scans or len(errors)):
-        errors.append(_scanless(folder, wanted, withheld))
+        errors.append(_scanless(folder, wanted, withheld, depth))
     if scans:
         errors += [PassedOver(_listed([folder / name for name in names], folder), "", "not a scan", advice)
                    for advice, names in convertible(folder).items()]  # fmt: skip
@@ -148,14 +149,14 @@ def _in_short(folder: Path, wanted: Search, depth: int, scans: list[Scan], error
     """A folder without a scan anywhere below it as one mistake, not one for each of its folders."""
     if scans:
         return scans, errors
-    refusals = [error for error in errors if not isinstance(error, PassedOver)]
     if not errors:
-        return [], [_scanless(folder, wanted, withheld)]
-    if refusals and all(map(_is_of_no_scan, refusals)) and (depth or telling_format(folder, wanted.wanted) is not None):
-        own = _scanless(folder, wanted, withheld)
-        telling = [error for error in refusals if _LOOKS in error.problem]
-        kept = telling if telling and _LOOKS not in own.problem else [own]
-        return [], [error for error in errors if isinstance(error, PassedOver)] + list(kept)
+        return [], [_scanless(folder, wanted, withheld, depth)]
+    kept = [error for error in errors if isinstance(error, PassedOver) and not _is_of_no_scan(error)]
+    wrong = [error for error in errors if not isinstance(error, PassedOver) or _is_of_no_scan(error)]
+    if wrong and all(map(_is_of_no_scan, wrong)) and (depth or telling_format(folder, wanted.wanted) is not None):
+        own = _scanless(folder, wanted, withheld, depth)
+        telling = [error for error in wrong if _LOOKS in error.problem]
+        return [], [*kept, *(telling if telling and _LOOKS not in own.problem else [own])]
     if depth and len(errors) > 1 and all(_WRITTEN in error.problem for error in errors):
         return [], [PassedOver(folder.name, "", f"all that lies in it was {_WRITTEN}, not scans")]
     return [], errors
@@ -176,7 +177,7 @@ def _below(folder: Path, wanted: Search, depth: int, files: Sequence[Path]) -> F
             if product := product_of(child) if wanted.admits(child) else "":
                 written[child.name] = product
                 continue
-            if files and is_material(child):
+            if files and is_material(child) and not is_framed(child):
                 continue
         except OSError as error:
             errors.append(unreadable(child, error))
@@ -208,15 +209,34 @@ def _unread(folder: Path, scan: Scan, wanted: Search) -> list[Path]:
     format = _format(scan, wanted)
     suffixes = tuple({suffix for other in wanted.formats for suffix in other.suffixes})
     paths = [path for path in _meshes_below(folder, suffixes) if not matches(path.relative_to(folder).as_posix(), format.unread)]
-    paths = [path for path in paths if not is_product(path)] if paths else []
-    if not paths:
-        return []
-    try:
-        read = set(format.files(scan, scan.premises))
-    except InputError:  # the run says so of the scan
+    paths = [path for path in paths if not is_product(path)]
+    read = _read(scan, wanted) if paths else None
+    if read is None:
         return []
     models = _models(paths, sorted(read)) if format.within is not None else set()
     return [path for path in paths if path not in read and path not in models]
+
+
+def _read(scan: Scan, wanted: Search) -> set[Path] | None:
+    """Files that the reader of a scan reads; None for a scan that cannot be used, of which the run says so."""
+    try:
+        return set(_format(scan, wanted).files(scan, scan.premises))
+    except InputError:
+        return None
+
+
+def _inner(folder: Path, scan: Scan, wanted: Search) -> list[str]:
+    """Recorded scans in folders of a recorded scan that its reader does not read: their paths, and their formats."""
+    if not scan_folders(folder, wanted.admits):
+        return []
+    read = _read(scan, wanted)
+    passed = {place for path in read or () for place in path.parents}
+    unread = _format(scan, wanted).unread
+
+    def is_passed(place: Path) -> bool:
+        return place in passed or matches(place.relative_to(folder).as_posix(), unread)
+
+    return [] if read is None else enclosed_scans(folder, wanted.formats, wanted.admits, is_passed)
 
 
 def _models(meshes: Sequence[Path], parts: Sequence[Path]) -> set[Path]:
@@ -227,9 +247,18 @@ def _models(meshes: Sequence[Path], parts: Sequence[Path]) -> set[Path]:
     return {path for path in meshes if (path.parent, path.stem) in stems} | set(only)
 
 
-def _unread_line(folder: Path, scan: Scan, unread: Sequence[Path]) -> PassedOver:
-    problem = f"{_listed(unread, folder)} {'is' if len(unread) == 1 else 'are'} not part of the {scan.format} scan and not read"
-    return PassedOver(folder.name, "", problem, "a mesh that is a scan by itself belongs into a folder of its own")
+def _not_read(folder: Path, scan: Scan, unread: Sequence[Path], inner: Sequence[str]) -> list[InputError]:
+    """Lines on meshes and scans in the folder of a recorded scan."""
+    lines: list[InputError] = []
+    if unread:
+        problem = f"{_listed(unread, folder)} {'is' if len(unread) == 1 else 'are'} not part of the {scan.format} scan and not read"
+        lines.append(PassedOver(folder.name, "", problem, "a mesh that is a scan by itself belongs into a folder of its own"))
+    if inner:
+        more = f" and {counted(len(inner) - MAX_NAMED, 'more folder')}" if len(inner) > MAX_NAMED else ""
+        names, verb = ", ".join(inner[:MAX_NAMED]) + more, "is a scan" if len(inner) == 1 else "are scans"
+        problem = f"{names} {verb} in the folder of the {scan.format} scan and not read"
+        lines.append(PassedOver(folder.name, "", problem, "move it next to that folder"))
+    return lines
 
 
 def _meshes_below(folder: Path, suffixes: Sequence[str]) -> list[Path]:
@@ -258,14 +287,17 @@ def _meshes_below(folder: Path, suffixes: Sequence[str]) -> list[Path]:
 
 
 def _too_deep(folder: Path, wanted: Search) -> list[InputError]:
-    """The error of a folder that is too deep to be searched and has meshes in it."""
+    """The error of a folder that is too deep to be searched and has scans in it."""
     if folder.is_symlink():
         return []
     paths = [path for path in _meshes_below(folder, wanted.suffixes) if not is_product(path)]
-    if not paths:
+    name = recorded_format(folder, wanted.wanted)
+    scans = [f"a {name} scan"] if name else enclosed_scans(folder, wanted.wanted, wanted.admits)
+    if not paths and not scans:
         return []
     place = "/".join(folder.parts[-MAX_DEPTH - 1 :])
-    problem = f"lies more than {MAX_DEPTH} folders deep and is not searched ({_listed(paths, folder)})"
+    named = _listed(paths, folder) if paths else ", ".join(scans[:MAX_NAMED])
+    problem = f"lies more than {MAX_DEPTH} folders deep and is not searched ({named})"
     return [UnusableScan(InputError(place, "folder", problem, "give a folder further down as --scans"), folder)]
 
 
@@ -293,11 +325,17 @@ def _written_line(folder: Path, names: str) -> PassedOver:
     return PassedOver(folder.name, "", f"{names}: {_WRITTEN}, not scans", "")
 
 
-def _scanless(folder: Path, wanted: Search, withheld: Sequence[Path] = ()) -> UnusableScan:
-    """The error of a folder without a scan in it: what it looks like, and what to do."""
+def _scanless(folder: Path, wanted: Search, withheld: Sequence[Path] = (), depth: int = 0) -> UnusableScan | PassedOver:
+    """The line on a folder without a scan in it: what it looks like, and what to do.
+
+    Below the folder of scans, it is an error only if the folder looks like a scan of a wanted format.
+    """
     if not any(visible(folder)):
-        return UnusableScan(InputError(folder.name, "folder", _EMPTY, f"expected {wanted.expected}"), folder)
+        empty = InputError(folder.name, "folder", _EMPTY, f"expected {wanted.expected}")
+        return _passed_over(empty) if depth else UnusableScan(empty, folder)
     problem = f"{_NO_SCAN} ({', '.join(format.name for format in wanted.wanted)})"
+    if depth and len(wanted.wanted) < len(wanted.formats) and (other := _unwanted(folder, wanted)):
+        return PassedOver(folder.name, "folder", f"{problem}; {other}", "")
     like = likeness(folder, wanted.wanted)
     remedy = f"expected {wanted.expected}"
     format = ""
@@ -306,7 +344,24 @@ def _scanless(folder: Path, wanted: Search, withheld: Sequence[Path] = ()) -> Un
         format = like[0].removeprefix("looks like ").partition(" ")[0] if f"; {like[0]}".startswith(_LOOKS) else ""
     if withheld:
         remedy += f"; --format bare_mesh reads {_listed(withheld, folder)} as it is"
-    return UnusableScan(InputError(folder.name, "folder", problem, remedy), folder, format)
+    error = InputError(folder.name, "folder", problem, remedy)
+    return _passed_over(error) if depth and not (format or withheld) else UnusableScan(error, folder, format)
+
+
+def _passed_over(error: InputError) -> PassedOver:
+    return PassedOver(error.file, error.field, error.problem, error.remedy)
+
+
+def _unwanted(folder: Path, wanted: Search) -> str:
+    """The words on a folder that is, holds or looks like a scan of a format that is not wanted; '' for any other."""
+    others = [format for format in wanted.formats if format not in wanted.wanted]
+    if name := recorded_format(folder, others):
+        return f"is a {name} scan"
+    if any(files_named(folder, format.suffixes) for format in others):
+        return "has meshes"
+    like = likeness(folder, wanted.formats)
+    named = [format.name for format in others if like is not None and f"; {like[0]}".startswith(f"{_LOOKS}{format.name} ")]
+    return f"looks like {named[0]}" if named else ""
 
 
 def _listed(paths: Sequence[Path], folder: Path) -> str:

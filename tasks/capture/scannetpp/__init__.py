@@ -77,6 +77,6 @@ SCANNETPP = ScanFormat(
     is_recorded=lambda folder: _has_mesh(folder) or any(map(_has_mesh, folders_in(folder))),
     files=_files,
     read=read_scannetpp,
-    unread=("scans/*.ply",),
+    unread=("scans/*.ply", "iphone", "dslr", "panocam"),
     signs=(f"{PLACE}/{MESH}", f"{PLACE}/{SEGMENTS}", f"{PLACE}/{ANNOTATION}"),
 )

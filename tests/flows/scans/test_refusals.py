@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from flows.cli import cli
-from flows.pipeline import state_of
+from flows.pipeline import replicate, state_of
 from flows.run.configuration import configure
 from flows.run.fingerprints import FileHashes
 from flows.run.plan import Plan, make_plan
@@ -21,8 +21,10 @@ from flows.scans.mirror import FetchError
 from flows.scans.refusals import keep_refusals, refused_scans
 from flows.server.notifications import AS_BEFORE
 from schemas.runs import RefusedScan
+from tasks.capture.formats import find_scans
+from tasks.capture.scan import PassedOver
 from tests.samples import sample, stage_run
-from tests.tasks.capture.formats.test_search import PLY, put
+from tests.tasks.capture.formats.test_search import PLY, glb, put
 from warehouse.lake import Lake
 from warehouse.upkeep.erasure import erase
 from warehouse.upkeep.inspection import inspect
@@ -88,16 +90,18 @@ def test_a_night_fails_once_and_again_without_a_second_message_until_the_scan_is
 
 def test_another_reason_and_another_scan_are_news(lake: Lake, scans: Path) -> None:
     night(lake, scans, 0)
-    put(scans / "empty" / ".keep")
+    put(scans / "more" / "habitat" / "info_semantic.json", b"{}")
     report, state = night(lake, scans, 1)
     assert not state.message.startswith(AS_BEFORE)
-    assert "2 scans refused: empty: folder: is empty" in state.message
+    assert "2 scans refused: more: folder: holds no scan" in state.message
     assert len(set(report.refused) - set(report.known)) == 1
     assert night(lake, scans, 2)[1].message.startswith(AS_BEFORE)
-    put(scans / "empty" / "notes.md")
+    put(scans / "more" / "walk" / "rgb.txt")
+    (scans / "more" / "habitat" / "info_semantic.json").unlink()
+    put(scans / "more" / "walk" / "rgb" / "1.png")
     assert not night(lake, scans, 3)[1].message.startswith(AS_BEFORE)
     first = {row.path: row.first_seen_at for row in refused_scans(lake)}
-    assert first["empty"] == NIGHT + timedelta(days=3)
+    assert max(first.values()) == NIGHT + timedelta(days=3)
     assert NIGHT in first.values()
 
 
@@ -110,7 +114,7 @@ def test_a_run_over_some_scenes_leaves_rows_of_the_others(lake: Lake, scans: Pat
 
 
 def test_folders_of_scans_keep_their_own_rows_and_a_run_that_starts_over_has_its_news(lake: Lake, scans: Path, tmp_path: Path) -> None:
-    put(tmp_path / "more" / "empty" / ".keep")
+    put(tmp_path / "more" / "half" / "habitat" / "info_semantic.json", b"{}")
     put(tmp_path / "more" / "den.ply", PLY)
     put(tmp_path / "more" / "hut.ply", PLY + b"1")
     night(lake, scans, 0)
@@ -118,6 +122,61 @@ def test_folders_of_scans_keep_their_own_rows_and_a_run_that_starts_over_has_its
     assert len(refused_scans(lake)) == 2
     again, state_again = night(lake, tmp_path / "more", 1)
     assert (again, state_again.message) == (report, state.message)
+
+
+def test_folders_of_other_things_are_notes_and_fail_no_run(lake: Lake, tmp_path: Path) -> None:
+    for name in ("docs/readme.pdf", "src/deep/tool.py", "videos/walk.mp4", "zips/a.zip", "empty/.keep", "lost+found/x"):
+        put(tmp_path / "scans" / name)
+    for name in ("attic", "bath"):
+        put(tmp_path / "scans" / f"{name}.ply", PLY + name.encode())
+    report, state = night(lake, tmp_path / "scans", 0)
+    assert (state.type.value, report.refused) == ("COMPLETED", ())
+    assert refused_scans(lake) == []
+    notes = [str(line) for line in find_scans(tmp_path / "scans")[1] if isinstance(line, PassedOver)]
+    assert sorted(note.partition(":")[0] for note in notes) == ["docs", "empty", "src", "videos", "zips"]
+    assert any(note.endswith("unpack it") for note in notes)
+    for name in ("attic", "bath"):
+        (tmp_path / "scans" / f"{name}.ply").unlink()
+    assert night(lake, tmp_path / "scans", 1)[1].type.value == "FAILED", "no scan at all"
+
+
+@pytest.mark.parametrize("format", ["glb", "tum_rgbd", "posed_rgbd", "scannet", "roomplan", "bare_mesh", "replica_v1"])
+def test_a_run_for_one_format_refuses_no_sound_scan_of_another(format: str, lake: Lake, tmp_path: Path) -> None:
+    from tests.tasks.capture.formats.test_enclosed import INNER
+
+    for name, (make, _) in INNER.items():
+        make(tmp_path / "scans" / name)
+    put(tmp_path / "scans" / "meshes" / "attic.ply", PLY)
+    glb(tmp_path / "scans" / "models" / "cellar.glb")
+    put(tmp_path / "scans" / "habitat_home" / "habitat" / "mesh_semantic.ply", PLY)
+    put(tmp_path / "scans" / "habitat_home" / "habitat" / "info_semantic.json", b"{}")
+    report, _ = night(lake, tmp_path / "scans", 0, format=format)
+    assert report.refused == ()
+
+
+def test_runs_for_different_formats_keep_each_others_rows(lake: Lake, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the flow itself, which says of a run whether it looked at all scans."""
+    seen: list[bool] = []
+
+    def keep(*_: Any, is_whole: bool, **__: Any) -> frozenset[str]:
+        seen.append(is_whole)
+        return frozenset()
+
+    monkeypatch.setattr("flows.pipeline.keep_refusals", keep)
+    monkeypatch.setattr("flows.pipeline.with_rescans", lambda report, *_: report)
+    monkeypatch.setattr("flows.pipeline._carry_out", lambda plan, *_: report_of(plan, began=NIGHT))
+    monkeypatch.setattr("flows.pipeline.patiently", lambda once: once())
+    monkeypatch.setattr("flows.pipeline.keep", lambda report: None)
+    for format in ("auto", "glb"):
+        replicate.fn(str(scans), lake.address, format=format)
+    assert seen == [True, False]
+    for name in ("cellar", "loft"):
+        glb(scans / f"{name}.glb", name)
+    night(lake, scans, 0)
+    before = refused_scans(lake)
+    assert before
+    night(lake, scans, 1, format="glb")
+    assert refused_scans(lake) == before
 
 
 def test_a_scan_that_could_not_be_fetched_is_tried_again_and_not_refused(lake: Lake, scans: Path) -> None:

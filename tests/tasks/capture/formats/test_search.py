@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import struct
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -270,28 +269,6 @@ def test_an_own_folder_that_is_named_is_refused(make: Callable[[Path], None], ki
     assert str(error) == f"place: folder: is {kind} of metascenes and not a scan; name the scan that it was made from"
 
 
-def test_own_files_are_known_by_their_marks_and_names(tmp_path: Path) -> None:
-    place = tmp_path / "scans"
-    glb(place / "attic.glb")
-    glb(place / "scene.glb", "metascenes")
-    glb(place / f"chair_{'0f' * 8}.glb")
-    glb(place / f"chair_{'0f' * 8}.collider.glb")
-    put(place / "parts" / "room_floor_part_00.obj", OBJ)
-    put(place / "parts" / "bed_1a2b3c4d_hull_01.obj", OBJ)
-    with zipfile.ZipFile(place / "room.usdz", "w") as archive:
-        archive.writestr("scene.usda", "#usda 1.0\n(\n customLayerData = {\n dictionary metascenes = {\n")
-    scans, errors = find_scans(place)
-    assert [scan.scene_id for scan in scans] == ["glb/attic"]
-    assert scan_files(scans[0]) == [(place / "attic.glb").resolve()]
-    assert [type(error) for error in errors] == [PassedOver, PassedOver]
-    assert sorted(str(error) for error in errors) == [
-        "parts: bed_1a2b3c4d_hull_01.obj, room_floor_part_00.obj: written by metascenes, not scans",
-        f"scans: chair_{'0f' * 8}.collider.glb, chair_{'0f' * 8}.glb, room.usdz and 1 more file: written by metascenes, not scans",
-    ]
-    (refused,) = find_scans(place / "scene.glb")[1]
-    assert str(refused) == "scene.glb: file: was written by metascenes and is not a scan; name the scan that it was made from"
-
-
 def test_a_folder_of_nothing_but_own_files_holds_no_scan(tmp_path: Path) -> None:
     own_export(tmp_path / "out" / "glb")
     scans, errors = find_scans(tmp_path / "out")
@@ -321,11 +298,11 @@ def test_a_copied_folder_has_an_id_of_its_own(tmp_path: Path) -> None:
 def test_two_folders_of_one_name_are_two_errors(tmp_path: Path) -> None:
     scannet(tmp_path / "scene0001_00")
     for name in ("a", "b"):
-        put(tmp_path / name / "half" / ".keep")
+        put(tmp_path / name / "half" / "habitat" / "info_semantic.json", b"{}")
         scannet(tmp_path / name / f"scene000{'ab'.index(name) + 2}_00")
     scans, errors = find_scans(tmp_path)
     assert len(scans) == 3
-    assert [str(error).partition(";")[0] for error in errors] == ["half: folder: is empty"] * 2
+    assert ["looks like replica_v1" in str(error) for error in errors] == [True, True]
     assert len({error.path for error in errors if isinstance(error, UnusableScan)}) == 2
 
 
