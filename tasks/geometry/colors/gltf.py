@@ -5,7 +5,6 @@ Readers see factors and `COLOR_0` as display values, so whatever decodes the fil
 
 from __future__ import annotations
 
-import base64
 import copy
 import json
 import struct
@@ -33,8 +32,8 @@ BARE: Document = {
 }  # fmt: skip
 """Material of meshes without any color: other readers show the gray that the project shows."""
 
-_GLOSS = "KHR_materials_pbrSpecularGlossiness"
-_NUMBERS = {5121: ("<u1", 255), 5123: ("<u2", 65535), 5126: ("<f4", 1)}
+_STRENGTH = "KHR_materials_emissive_strength"
+_NUMBERS = {5121: ("<u1", 255), 5126: ("<f4", 1)}
 _WIDTHS = {"VEC3": 3, "VEC4": 4}
 _OFFSETS = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 
@@ -42,11 +41,11 @@ _OFFSETS = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 def displayed_glb(data: bytes, document: Document, file: str) -> bytes:
     """A GLB whose factors and vertex colors are display values, for a decoder that does not convert them.
 
-    Vertex colors are multiplied by their material's factor and take its place. With a texture, their mean goes
-    into the factor. A material that only emits light shows that light.
+    Vertex colors take the place of their material. A material that only emits light shows that light.
 
     Args:
-        data: the GLB.
+        data: a plain GLB (`tasks.geometry.gltf.plain`): vertex colors are multiplied by the factor of their
+            material already, and their mean is in the factor if there is a texture.
         document: its JSON document, which stays as it is.
         file: name for errors.
 
@@ -63,7 +62,7 @@ def displayed_glb(data: bytes, document: Document, file: str) -> bytes:
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         problem = f"cannot be converted ({type(error).__name__}: {error})"[:200]
         raise InputError(file, "colors", problem, "export it again") from error
-    return _closed(copied.document, bytes(copied.binary))
+    return _closed(copied.document, copied.binary)
 
 
 def put_linear(tree: Document) -> None:
@@ -97,9 +96,14 @@ class _Pass:
     """One conversion of a document and its binary chunk."""
 
     def __init__(self, document: Document, binary: bytes, file: str) -> None:
-        self.document, self.binary, self._file = document, bytearray(binary), file
-        self._materials = [_linear_look(material) for material in _listed(document, "materials")]
-        self._known: dict[tuple[Any, ...], int] = {}
+        self.document, self._file = document, file
+        self._source, self._added = binary, bytearray()
+        self._known: dict[str, int] = {}
+
+    @property
+    def binary(self) -> bytes:
+        """The binary chunk with the added colors."""
+        return self._source + self._added
 
     def convert(self) -> None:
         for primitive in [p for mesh in _listed(self.document, "meshes") for p in _listed(mesh, "primitives")]:
@@ -107,53 +111,31 @@ class _Pass:
             if "COLOR_0" in attributes:
                 self._color(primitive, attributes)
         for material in _listed(self.document, "materials"):
+            _show_light(material)
             _display_factor(material)
 
     def _color(self, primitive: Document, attributes: Document) -> None:
-        """Merge the colors and the material of a primitive."""
-        number, material, factor = primitive.get("material"), {}, np.ones(4)
-        if number is not None:
-            if type(number) is not int or not 0 <= number < len(self._materials):
-                return  # a material that is not there: the decoder refuses it
-            material, stated = self.document["materials"][number], self._materials[number]
-            if stated is None:
-                return  # a factor that is not a color: the reader refuses it
-            factor = stated
-        colors, points = attributes.pop("COLOR_0"), attributes.get("POSITION")
-        if "TEXCOORD_0" in attributes and "baseColorTexture" in _mapping(material, "pbrMetallicRoughness"):
-            primitive["material"] = self._tinted(number, self._linear(colors, points), factor)
-            return
-        key = (repr(colors), *factor.tolist())
-        if key not in self._known:
-            self._known[key] = self._add(self._linear(colors, points) * factor)
-        attributes["COLOR_0"] = self._known[key]
+        """Make the vertex colors of a primitive display values, which take the place of its material."""
+        number = primitive.get("material", 0)
+        if "material" in primitive and (type(number) is not int or not 0 <= number < len(_listed(self.document, "materials"))):
+            return  # a material that is not there: the decoder refuses it
+        colors = attributes["COLOR_0"]
+        if repr(colors) not in self._known:
+            self._known[repr(colors)] = self._add(self._linear(colors, attributes.get("POSITION")))
+        attributes["COLOR_0"] = self._known[repr(colors)]
         primitive.pop("material", None)
-
-    def _tinted(self, number: Any, colors: Array, factor: Array) -> int:
-        """Index of a copy of a material, times the mean of vertex colors, shape (n, 4). Its factor is linear still."""
-        look = factor * colors.mean(axis=0)
-        key = ("texture", number, *look.tolist())
-        if key not in self._known:
-            material = copy.deepcopy(self.document["materials"][number])
-            material["pbrMetallicRoughness"]["baseColorFactor"] = look.tolist()
-            self.document["materials"].append(material)
-            self._known[key] = len(self.document["materials"]) - 1
-        return self._known[key]
 
     def _add(self, linear: Array) -> int:
         """Index of a new accessor with the display bytes of linear colors, shape (n, 4)."""
         alpha = np.round(255 * np.clip(linear[:, 3:], 0, 1)).astype(np.uint8)
         data = np.hstack([bytes_of_linear(linear[:, :3]), alpha]).tobytes()
         buffers, views = (self.document.setdefault(name, []) for name in ("buffers", "bufferViews"))
-        if not buffers or "uri" in buffers[0]:  # only the first buffer may be the binary chunk
-            text = base64.b64encode(data).decode()
-            buffers.append({"uri": f"data:application/octet-stream;base64,{text}", "byteLength": len(data)})
-            views.append({"buffer": len(buffers) - 1, "byteOffset": 0, "byteLength": len(data)})
-        else:
-            self.binary += b"\0" * (-len(self.binary) % 4)
-            views.append({"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)})
-            self.binary += data
-            buffers[0]["byteLength"] = len(self.binary)
+        if not buffers:
+            buffers.append({})
+        self._added += b"\0" * (-(len(self._source) + len(self._added)) % 4)
+        views.append({"buffer": 0, "byteOffset": len(self._source) + len(self._added), "byteLength": len(data)})
+        self._added += data
+        buffers[0]["byteLength"] = len(self._source) + len(self._added)
         accessors = self.document["accessors"]
         accessors.append(
             {"bufferView": len(views) - 1, "componentType": 5121, "normalized": True, "type": "VEC4", "count": len(linear)}
@@ -199,66 +181,58 @@ class _Pass:
     def _rows(self, number: Any, offset: Any, kind: str, width: int, count: int) -> Array:
         """Numbers of a buffer view, shape (count, width)."""
         view = self.document["bufferViews"][_natural(number)]
-        buffer = self.document["buffers"][_natural(view["buffer"])]
-        data: bytes | bytearray = self.binary
-        if "uri" in buffer:
-            data = base64.b64decode(str(buffer["uri"]).partition("base64,")[2])
-        start, size = _natural(view.get("byteOffset", 0)), _natural(view["byteLength"])
-        wide = np.dtype(kind).itemsize * width
+        if view["buffer"] != 0 or not self.document["buffers"]:
+            raise ValueError("lies in a buffer that is not there")
+        first, size = _natural(view.get("byteOffset", 0)), _natural(view["byteLength"])
+        start, wide = first + _natural(offset), np.dtype(kind).itemsize * width
         stride = _natural(view.get("byteStride", wide)) or wide
-        held = bytes(data[start : start + size])[_natural(offset) :]
-        if count and (count - 1) * stride + wide > len(held):
+        if count and start + (count - 1) * stride + wide > min(first + size, len(self._source)):
             raise ValueError("ends before its last row")
-        rows: NDArray[Any] = np.ndarray((count, width), kind, held, strides=(stride, np.dtype(kind).itemsize))
+        rows: NDArray[Any] = np.ndarray((count, width), kind, self._source, start, (stride, np.dtype(kind).itemsize))
         return rows.astype(np.float64)
 
 
 def _is_tinted(material: Any) -> bool:
     """True if a material has a color that needs conversion."""
-    return "baseColorFactor" in _mapping(material, "pbrMetallicRoughness") or _GLOSS in _mapping(material, "extensions")
+    return "baseColorFactor" in _mapping(material, "pbrMetallicRoughness")
 
 
-def _is_black(material: Any) -> bool:
+def is_black(material: Any) -> bool:
     """True if a material emits light and reflects none."""
-    factor = _numbers(_mapping(material, "pbrMetallicRoughness").get("baseColorFactor"), 4)
-    light = _numbers(material.get("emissiveFactor") if isinstance(material, dict) else None, 3)
+    factor = numbers_of(_mapping(material, "pbrMetallicRoughness").get("baseColorFactor"), 4)
+    light = numbers_of(material.get("emissiveFactor") if isinstance(material, dict) else None, 3)
     return factor is not None and light is not None and not factor[:3].any() and bool(light.any())
 
 
-def _linear_look(material: Any) -> Array | None:
-    """Linear base color factor of a material, shape (4,). Diffuse color or emitted light take its place, in the material too.
+def emitted_light(material: Mapping[str, Any]) -> Array | None:
+    """Linear light that a material emits, times its strength and at most 1, shape (3,); None without readable light."""
+    light = numbers_of(material.get("emissiveFactor"), 3)
+    strength = numbers_of([_mapping(_mapping(material, "extensions"), _STRENGTH).get("emissiveStrength", 1.0)], 1)
+    return None if light is None else np.clip(light * (1.0 if strength is None else strength), 0.0, 1.0)
 
-    None if its factor is not a color.
-    """
-    gloss = _mapping(_mapping(material, "extensions"), _GLOSS)
-    if gloss:
-        names = {"diffuseFactor": "baseColorFactor", "diffuseTexture": "baseColorTexture"}
-        look = {name: gloss[given] for given, name in names.items() if given in gloss}
-        material["pbrMetallicRoughness"] = {"baseColorFactor": [1.0] * 4, "metallicFactor": 0.0, **look}
-        del material["extensions"][_GLOSS]
-    if _is_black(material):
-        look, light = material["pbrMetallicRoughness"], _numbers(material.pop("emissiveFactor"), 3)
-        stated = _mapping(_mapping(material, "extensions"), "KHR_materials_emissive_strength").get("emissiveStrength", 1.0)
-        strength, factor = _numbers([stated], 1), _numbers(look["baseColorFactor"], 4)
-        assert light is not None
-        assert factor is not None
-        look["baseColorFactor"] = [*np.clip(light * (1.0 if strength is None else strength), 0, 1).tolist(), float(factor[3])]
-        texture = material.pop("emissiveTexture", None)
-        look.pop("baseColorTexture", None)
-        if texture is not None:
-            look["baseColorTexture"] = texture
-    return _numbers(_mapping(material, "pbrMetallicRoughness").get("baseColorFactor", [1.0] * 4), 4)
+
+def _show_light(material: Any) -> None:
+    """Put the light of a material that reflects none in place of its base color."""
+    light = emitted_light(material) if is_black(material) else None
+    if light is None:
+        return
+    look = material["pbrMetallicRoughness"]
+    look["baseColorFactor"] = [*light.tolist(), *look["baseColorFactor"][3:]]
+    texture = material.pop("emissiveTexture", None)
+    look.pop("baseColorTexture", None)
+    if texture is not None:
+        look["baseColorTexture"] = texture
 
 
 def _display_factor(material: Any) -> None:
     """Make the base color factor of a material a display value, in place."""
     look = _mapping(material, "pbrMetallicRoughness")
-    factor = _numbers(look.get("baseColorFactor"), 4)
+    factor = numbers_of(look.get("baseColorFactor"), 4)
     if factor is not None:
         look["baseColorFactor"] = [*display_of(factor[:3]).tolist(), float(factor[3])]
 
 
-def _numbers(value: Any, count: int) -> Array | None:
+def numbers_of(value: Any, count: int) -> Array | None:
     """Finite numbers of a list, shape (count,), a missing alpha as 1; None for anything else."""
     try:
         numbers = np.array([float(number) for number in value if isinstance(number, int | float)], dtype=np.float64)
@@ -288,7 +262,7 @@ def _listed(document: Any, name: str) -> list[Any]:
 
 def _mapping(document: Any, name: str) -> Document:
     """A mapping of a document; an empty one for anything else."""
-    value = document.get(name) if isinstance(document, dict) else None
+    value = document.get(name) if isinstance(document, Mapping) else None
     return value if isinstance(value, dict) else {}
 
 

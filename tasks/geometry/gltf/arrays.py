@@ -32,19 +32,23 @@ class Arrays:
         self._buffers, self._unpacked = buffers, unpacked
 
     def view(self, index: int) -> bytes:
-        """Contents of a view.
+        """Copy the contents of a view.
 
         Raises:
             ValueError: it reaches beyond its buffer.
         """
+        return bytes(self._window(index))
+
+    def _window(self, index: int) -> memoryview:
+        """Contents of a view, not copied: many accessors can share a large view; raises as `view` does."""
         if index in self.decoded:
-            return self.decoded[index]
+            return memoryview(self.decoded[index])
         view = self._views[natural(index)]
         start, length = natural(view.get("byteOffset", 0)), natural(view["byteLength"])
         buffer = self._buffers[natural(view["buffer"])]
         if start + length > len(buffer):
             raise ValueError(f"bufferView {index} reaches beyond its buffer")
-        return buffer[start : start + length]
+        return memoryview(buffer)[start : start + length]
 
     def raw(self, index: int) -> Array:
         """Elements of an accessor in its own type, shape (count, width); zeros where no buffer holds them.
@@ -61,7 +65,7 @@ class Arrays:
         if "bufferView" in accessor:
             number = natural(accessor["bufferView"])
             stride = natural(self._views[number].get("byteStride", 0)) or dtype.itemsize * width
-            data, start = self.view(number), natural(accessor.get("byteOffset", 0))
+            data, start = self._window(number), natural(accessor.get("byteOffset", 0))
             if count and (start + stride * (count - 1) + dtype.itemsize * width > len(data) or stride < dtype.itemsize * width):
                 raise ValueError(f"accessor {index} reaches beyond its view")
             values = np.ndarray((count, width), dtype, data, start, (stride, dtype.itemsize)) if count else np.zeros((0, width), dtype)
@@ -74,8 +78,8 @@ class Arrays:
         sparse = objects(accessor["sparse"])[0]
         count, (where, what) = natural(sparse["count"]), (objects(sparse[key])[0] for key in ("indices", "values"))
         kind = np.dtype(DTYPES[where["componentType"]])
-        places = np.frombuffer(self.view(where["bufferView"]), kind, count, natural(where.get("byteOffset", 0)))
-        data, start = self.view(what["bufferView"]), natural(what.get("byteOffset", 0))
+        places = np.frombuffer(self._window(where["bufferView"]), kind, count, natural(where.get("byteOffset", 0)))
+        data, start = self._window(what["bufferView"]), natural(what.get("byteOffset", 0))
         changed = values.copy()
         changed[places] = np.frombuffer(data, values.dtype, count * values.shape[1], start).reshape(count, -1)
         return changed

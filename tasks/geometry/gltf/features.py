@@ -52,13 +52,14 @@ EXTENSIONS: dict[str, Feature] = dict([
     *_extensions("read", "image is read", "EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds"),
     *_extensions("read", "diffuse color and texture are read as base color", GLOSS),
     *_extensions("read", "base color is read", "KHR_materials_unlit"),
+    *_extensions("read", "multiplies the emitted light, up to 1", "KHR_materials_emissive_strength"),
     *_extensions("read", "changes no triangle", "FB_ngon_encoding", "KHR_xmp", "KHR_xmp_json_ld", "EXT_mesh_manifold"),
     *_extensions("noted", "are not read: the default materials are", "KHR_materials_variants"),
     *_extensions(
         "noted", _MATERIAL,
         "KHR_materials_anisotropy", "KHR_materials_clearcoat", "KHR_materials_diffuse_transmission", "KHR_materials_dispersion",
-        "KHR_materials_emissive_strength", "KHR_materials_ior", "KHR_materials_iridescence", "KHR_materials_sheen",
-        "KHR_materials_specular", "KHR_materials_transmission", "KHR_materials_volume", "KHR_materials_volume_scatter",
+        "KHR_materials_ior", "KHR_materials_iridescence", "KHR_materials_sheen", "KHR_materials_specular",
+        "KHR_materials_transmission", "KHR_materials_volume", "KHR_materials_volume_scatter",
         "ADOBE_materials_clearcoat_specular", "ADOBE_materials_clearcoat_tint", "ADOBE_materials_thin_transparency",
         "EXT_materials_specular_edge_color", "MSFT_packing_normalRoughnessMetallic", "MSFT_packing_occlusionRoughnessMetallic",
     ),
@@ -242,7 +243,8 @@ def _named_extensions(value: Any) -> Iterator[str]:
 
 def entries(document: Document, name: str) -> list[dict[str, Any]]:
     """A list of objects; other values are empty."""
-    return objects(document.get(name))
+    value = document.get(name)
+    return objects(value) if isinstance(value, list) else []
 
 
 def objects(value: Any) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Looks of primitives in a plain GLB: one set of texture coordinates, one repeated image, and vertex colors or a material."""
+"""Looks of primitives in a plain GLB: one set of texture coordinates, one repeated image, vertex colors, a material."""
 
 from __future__ import annotations
 
@@ -8,18 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from tasks.geometry.gltf.arrays import Array, Arrays, ArrayWriter, Floats
+from schemas.errors import InputError
+from tasks.geometry.colors.gltf import emitted_light, is_black, numbers_of
+from tasks.geometry.gltf.arrays import Array, Arrays, ArrayWriter, Floats, natural
 from tasks.geometry.gltf.features import GLOSS, TRANSFORM, Document, entries, extension_of, objects
 from tasks.geometry.gltf.images import REPEAT, Images, Padding, repeated_lookup
 
 _UNLIT = "KHR_materials_unlit"
 _PBR, _BASE = "pbrMetallicRoughness", "baseColorTexture"
 _OTHERS = ("normalTexture", "occlusionTexture", "emissiveTexture")
+_COLOR_UNITS = {"|u1": 255.0, "<u2": 65535.0, "<f4": 1.0}  # full intensity, by the types that `COLOR_0` may have
 
 
 @dataclasses.dataclass(frozen=True)
 class PlainLook:
-    """How a primitive looks. material: of the new document. uv: shape (n, 2). colors: linear RGBA from 0 to 1, or bytes, shape (n, 4)."""
+    """Look of a primitive.
+
+    material: of the new document, white under colors. uv: shape (n, 2). colors: linear RGBA from 0 to 1, shape (n, 4).
+    """
 
     material: int | None = None
     uv: Floats | None = None
@@ -83,11 +89,23 @@ class PlainLooks:
         self._add_others(material, plain, base, padding, name)
         if colors is not None:
             colors = self._mixed(plain, colors, image is not None, name)
-        if colors is not None:
-            return PlainLook(colors=colors)
         if uv is None:
             uv = attributes.get("TEXCOORD_0")
-        return PlainLook(self._add(self.materials, plain), uv)
+        return PlainLook(self._add(self.materials, plain), uv, colors)
+
+    def colors(self, index: Any) -> Floats:
+        """Vertex colors of an accessor, linear, shape (n, width); whole numbers are scaled.
+
+        Raises:
+            InputError: it is not an accessor of colors.
+        """
+        try:
+            values = self._arrays.raw(natural(index))
+            most = _COLOR_UNITS[values.dtype.str]
+        except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+            problem = f"is not an accessor of colors ({type(error).__name__}: {error})"[:200]
+            raise InputError(self._file, "COLOR_0", problem, "export it again") from error
+        return values.astype(np.float64) / most
 
     def _vertex_colors(self, attributes: dict[str, Floats], name: str) -> Array | None:
         """Linear RGBA of each vertex; None without colors, or with colors that do not fit."""
@@ -97,25 +115,39 @@ class PlainLooks:
         if colors.shape[1] not in (3, 4):
             self._note(f"mesh {name}: COLOR_0 has {colors.shape[1]} numbers for each vertex: drawn without it")
             return None
+        colors = np.clip(np.nan_to_num(colors), 0.0, 1.0)
         return colors if colors.shape[1] == 4 else np.column_stack([colors, np.ones(len(colors))])
 
     def _mixed(self, plain: dict[str, Any], colors: Array, has_image: bool, name: str) -> Array | None:
-        """Vertex colors times the factor of a material; None where the material says it all."""
-        factor = np.array(plain[_PBR].get("baseColorFactor", [1.0] * 4), dtype=np.float64)
-        if np.ptp(colors, axis=0).max(initial=0.0) < 1e-3:
-            color = colors[0] if len(colors) else np.ones(4)
-            plain[_PBR]["baseColorFactor"] = (factor * color).tolist()
+        """Vertex colors times the factor of a material, which turns white; None if the material states the whole color.
+
+        Raises:
+            ValueError: the factor is not a color.
+        """
+        look = plain[_PBR]
+        factor = numbers_of(look.get("baseColorFactor", [1.0] * 4), 4)
+        if factor is None:
+            raise ValueError(f"mesh {name} has a baseColorFactor that is not a color")
+        # Vertex colors change reflected light alone, so a black surface shows the light that it emits.
+        if is_black(plain):
             return None
-        if has_image:
-            self._note(f"mesh {name}: vertex colors over a texture are not read")
+        is_varying = np.ptp(colors, axis=0).max(initial=0.0) >= 1e-3
+        if has_image or not is_varying:
+            if is_varying:
+                self._note(f"mesh {name}: vertex colors over a texture are read as their mean")
+            look["baseColorFactor"] = (factor * colors.mean(axis=0)).tolist()
             return None
-        if any(key in plain for key in _OTHERS) or "metallicRoughnessTexture" in plain[_PBR]:
+        if any(key in plain for key in _OTHERS) or "metallicRoughnessTexture" in look:
             self._note(f"mesh {name}: textures other than the base color of its vertex-colored surface are not read")
+        look.pop("baseColorFactor", None)
         return np.clip(colors * factor, 0.0, 1.0)
 
     def _plain_material(self, material: Document) -> dict[str, Any]:
         """A material without extensions and without textures other than the base color's."""
         plain = {key: material[key] for key in ("name", "alphaMode", "alphaCutoff", "doubleSided", "emissiveFactor") if key in material}
+        light = emitted_light(material)
+        if light is not None:
+            plain["emissiveFactor"] = light.tolist()
         gloss = extension_of(material, GLOSS)
         if gloss:
             if "specularGlossinessTexture" in gloss or any(gloss.get("specularFactor", [])):

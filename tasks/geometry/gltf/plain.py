@@ -17,6 +17,7 @@ import numpy as np
 
 from schemas.errors import InputError
 from tasks.containers import close_glb, over_budget, weigh_glb
+from tasks.geometry.colors.gltf import numbers_of
 from tasks.geometry.gltf.arrays import Array, Arrays, ArrayWriter, Floats, natural
 from tasks.geometry.gltf.decoding import decoded_accessors, decoded_views
 from tasks.geometry.gltf.features import (
@@ -111,8 +112,10 @@ def _special_features(document: Document, binary: bytes) -> Iterator[str]:
             yield "morph targets"
         for primitive in entries(mesh, "primitives"):
             attributes = primitive["attributes"]
-            if primitive.get("mode", _TRIANGLES) != _TRIANGLES or ("COLOR_0" in attributes and "material" in primitive):
+            if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
                 yield "primitives"
+            if "COLOR_0" in attributes and any(_is_mixed(material) for material in _materials_of(document, primitive)):
+                yield "vertex colors"
             named = [accessors[natural(attributes[key])] for key in attributes if key.startswith(("POSITION", "NORMAL", "TEXCOORD"))]
             named += [entry for key in ("COLOR_0",) if key in attributes and not _is_color(entry := accessors[natural(attributes[key])])]
             indices = [accessors[natural(primitive["indices"])]] if "indices" in primitive else []
@@ -142,6 +145,14 @@ def _is_looked_up(material: Document, attributes: Document) -> bool:
     plain = material.get("pbrMetallicRoughness", {})
     infos = [value for holder in (material, plain) for key, value in holder.items() if key.endswith("Texture")]
     return any(info.get("texCoord", 0) != 0 or "TEXCOORD_0" not in attributes for info in infos)
+
+
+def _is_mixed(material: Document) -> bool:
+    """True for a material that changes vertex colors, or has textures next to them."""
+    plain = material.get("pbrMetallicRoughness", {})
+    factor = numbers_of(plain.get("baseColorFactor", [1.0] * 4), 4)
+    is_textured = any(key.endswith("Texture") for holder in (material, plain) for key in holder)
+    return is_textured or factor is None or bool((factor != 1.0).any())
 
 
 def _is_plain_image(document: Document, image: Document, binary: bytes) -> bool:
@@ -214,7 +225,7 @@ def _mesh(document: Document, shape: PosedMesh, arrays: Arrays, writer: ArrayWri
         mode = primitive.get("mode", _TRIANGLES)
         if mode not in (_TRIANGLES, _STRIP, _FAN):
             continue
-        attributes = _attributes(primitive, shape.weights, arrays)
+        attributes = _attributes(primitive, shape.weights, arrays, looks)
         positions = attributes.pop("POSITION")
         if positions.shape[1] != 3:
             raise ValueError(f"mesh {name} has positions of {positions.shape[1]} numbers")
@@ -239,10 +250,14 @@ def _mesh(document: Document, shape: PosedMesh, arrays: Arrays, writer: ArrayWri
     return {"primitives": primitives} | ({"name": mesh["name"]} if isinstance(mesh.get("name"), str) else {})
 
 
-def _attributes(primitive: Document, weights: tuple[float, ...], arrays: Arrays) -> dict[str, Floats]:
+def _attributes(primitive: Document, weights: tuple[float, ...], arrays: Arrays, looks: PlainLooks) -> dict[str, Floats]:
     """Attributes of a primitive as numbers, morph targets applied, shape (n, width) each."""
     targets = primitive.get("targets", []) if weights else []
-    numbers = {key: arrays.numbers(natural(index)) for key, index in primitive["attributes"].items() if not key.startswith("_")}
+    numbers = {
+        key: looks.colors(index) if key == "COLOR_0" else arrays.numbers(natural(index))
+        for key, index in primitive["attributes"].items()
+        if not key.startswith("_")
+    }
     return {key: morphed(values, targets, key, weights, arrays) for key, values in numbers.items()}
 
 
