@@ -9,9 +9,20 @@ from pathlib import Path
 from schemas.errors import InputError
 from schemas.files import stays_in
 from schemas.wording import counted
-from tasks.capture.enclosed import MAX_DEPTH_BELOW, enclosed_scans, recorded_format, scan_folders
 from tasks.capture.layout import folders_in, is_framed
-from tasks.capture.likeness import IMAGES, convertible, is_junk, is_material, likeness, telling_format, visible
+from tasks.capture.likeness import (
+    IMAGES,
+    MAX_DEPTH_BELOW,
+    convertible,
+    enclosed_scans,
+    is_junk,
+    is_material,
+    likeness,
+    recorded_format,
+    scan_folders,
+    telling_format,
+    visible,
+)
 from tasks.capture.products import is_product, product_of
 from tasks.capture.scan import PassedOver, Scan, ScanFormat, UnusableScan, files_named, leaving, matches
 
@@ -354,13 +365,13 @@ def _passed_over(error: InputError) -> PassedOver:
 
 def _unwanted(folder: Path, wanted: Search) -> str:
     """The words on a folder that is, holds or looks like a scan of a format that is not wanted; '' for any other."""
-    others = [format for format in wanted.formats if format not in wanted.wanted]
-    if name := recorded_format(folder, others):
+    unwanted = [format for format in wanted.formats if format not in wanted.wanted]
+    if name := recorded_format(folder, unwanted):
         return f"is a {name} scan"
-    if any(files_named(folder, format.suffixes) for format in others):
+    if any(files_named(folder, format.suffixes) for format in unwanted):
         return "has meshes"
     like = likeness(folder, wanted.formats)
-    named = [format.name for format in others if like is not None and f"; {like[0]}".startswith(f"{_LOOKS}{format.name} ")]
+    named = [format.name for format in unwanted if like is not None and f"; {like[0]}".startswith(f"{_LOOKS}{format.name} ")]
     return f"looks like {named[0]}" if named else ""
 
 
