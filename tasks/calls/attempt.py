@@ -24,7 +24,7 @@ SHOWN_BYTES = 400
 """Bytes of a refusal's text that are read: more is not shown."""
 
 
-class Refusal(Exception):
+class RefusedRequest(Exception):
     """A server answered by a state that is an error.
 
     Args:
@@ -38,7 +38,7 @@ class Refusal(Exception):
         self.code, self.headers, self.text = code, headers, text
 
 
-class Attempt:
+class RequestAttempt:
     """A request that is sent once.
 
     Args:
@@ -60,7 +60,7 @@ class Attempt:
         """Send the request and read the answer.
 
         Raises:
-            Refusal: the server refuses.
+            RefusedRequest: the server refuses.
             TimeoutError: the answer is not there in time.
             OSError, ValueError, HTTPException: it cannot be had or used.
         """
@@ -97,8 +97,8 @@ class Attempt:
                 self._settle(self._read(reply))
         except urllib.error.HTTPError as error:
             # Its state is enough of an answer, if the text does not arrive.
-            self._settle(Refusal(error.code, error.headers, ""))
-            self._settle(Refusal(error.code, error.headers, _beginning(error)))
+            self._settle(RefusedRequest(error.code, error.headers, ""))
+            self._settle(RefusedRequest(error.code, error.headers, _beginning(error)))
             error.close()
         except Exception as error:
             self._settle(error)
@@ -147,7 +147,7 @@ class _Sender(urllib.request.AbstractHTTPHandler):
 
     http_request = https_request = urllib.request.AbstractHTTPHandler.do_request_
 
-    def __init__(self, attempt: Attempt) -> None:
+    def __init__(self, attempt: RequestAttempt) -> None:
         super().__init__()
         self._attempt = attempt
 
@@ -169,7 +169,9 @@ def _context() -> ssl.SSLContext:
     return context
 
 
-def _connection(attempt: Attempt, make: Callable[..., http.client.HTTPConnection], host: str, **named: Any) -> http.client.HTTPConnection:
+def _connection(
+    attempt: RequestAttempt, make: Callable[..., http.client.HTTPConnection], host: str, **named: Any
+) -> http.client.HTTPConnection:
     """A connection whose socket an attempt opens."""
     connection = make(host, **named)
     connection._create_connection = attempt.connect  # type: ignore[attr-defined]

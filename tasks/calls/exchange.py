@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from schemas.errors import InputError, check_address
 from schemas.machine.loopback import is_loopback
 from schemas.text import HIDDEN, cut
-from tasks.calls.attempt import Attempt, Refusal
+from tasks.calls.attempt import RefusedRequest, RequestAttempt
 
 T = TypeVar("T")
 
@@ -86,8 +86,8 @@ class Exchange:
             begun()
             try:
                 give_up = self.clock() + self.timeout_seconds
-                return read(Attempt(request, partial(self._whole, give_up=give_up), self.timeout_seconds).answer())
-            except Refusal as refusal:
+                return read(RequestAttempt(request, partial(self._whole, give_up=give_up), self.timeout_seconds).answer())
+            except RefusedRequest as refusal:
                 if refusal.code in unknown:
                     return None
                 problem = f"HTTP {refusal.code}: {self._shown(refusal.text)}"

@@ -26,7 +26,7 @@ _INDICES = ("vertex_indices", "vertex_index")
 
 
 @dataclasses.dataclass(frozen=True)
-class Column:
+class PlyColumn:
     """A property of all rows of an element. values: Shape (n,), or all items of a list. kind: Type in the header, as `u1`.
     counts: Items of each row of a list, shape (n,); None for a single value."""
 
@@ -35,16 +35,16 @@ class Column:
     counts: NDArray[np.int64] | None = None
 
 
-Columns = Mapping[str, Column]
+Columns = Mapping[str, PlyColumn]
 
 
-def read_elements(data: bytes, start: int, order: str, elements: list[PlyElement]) -> dict[str, dict[str, Column]]:
+def read_elements(data: bytes, start: int, order: str, elements: list[PlyElement]) -> dict[str, dict[str, PlyColumn]]:
     """Columns of each element by name. order: Byte order, '' for text. start: Where the content begins.
 
     Raises:
         ValueError: the content is cut, or is not what the header states.
     """
-    content: dict[str, dict[str, Column]] = {}
+    content: dict[str, dict[str, PlyColumn]] = {}
     words = data[start:].split() if not order else []
     at = 0 if not order else start
     for element in elements:
@@ -58,14 +58,14 @@ def read_elements(data: bytes, start: int, order: str, elements: list[PlyElement
     return content
 
 
-def _text_rows(words: list[bytes], at: int, order: str, element: PlyElement) -> tuple[dict[str, Column], int]:
+def _text_rows(words: list[bytes], at: int, order: str, element: PlyElement) -> tuple[dict[str, PlyColumn], int]:
     """Columns of an element in a text, and the first word behind it."""
     if not any(len(field) == 3 for field in element.fields):
         width = len(element.fields)
         end = at + element.count * width
         _check_end(end, len(words), element)
         table = _numbers(words[at:end]).reshape(element.count, width)
-        return {field[0]: Column(table[:, i], field[1]) for i, field in enumerate(element.fields)}, end
+        return {field[0]: PlyColumn(table[:, i], field[1]) for i, field in enumerate(element.fields)}, end
     items: list[list[bytes]] = [[] for _ in element.fields]
     counts: list[list[int]] = [[] for _ in element.fields]
     for _ in range(element.count):
@@ -80,12 +80,12 @@ def _text_rows(words: list[bytes], at: int, order: str, element: PlyElement) -> 
             counts[i].append(count)
             at += count
     return {
-        field[0]: Column(_numbers(items[i]), field[-1], np.array(counts[i], np.int64) if len(field) == 3 else None)
+        field[0]: PlyColumn(_numbers(items[i]), field[-1], np.array(counts[i], np.int64) if len(field) == 3 else None)
         for i, field in enumerate(element.fields)
     }, at
 
 
-def _binary_rows(data: bytes, at: int, order: str, element: PlyElement) -> tuple[dict[str, Column], int]:
+def _binary_rows(data: bytes, at: int, order: str, element: PlyElement) -> tuple[dict[str, PlyColumn], int]:
     """Columns of an element in bytes, and the first byte behind it."""
     whole = _equal_rows(data, at, order, element)
     if whole is not None:
@@ -117,14 +117,14 @@ def _binary_rows(data: bytes, at: int, order: str, element: PlyElement) -> tuple
         inner = np.arange(len(first)) - np.repeat(np.cumsum(number) - number, number)
         places = (first + inner * size)[:, None] + np.arange(size)
         values = np.ascontiguousarray(raw[places]).view(order + field[-1]).ravel()
-        columns[field[0]] = Column(values, field[-1], number if len(field) == 3 else None)
+        columns[field[0]] = PlyColumn(values, field[-1], number if len(field) == 3 else None)
     return columns, at
 
 
 _FORMATS = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 
 
-def _equal_rows(data: bytes, at: int, order: str, element: PlyElement) -> tuple[dict[str, Column], int] | None:
+def _equal_rows(data: bytes, at: int, order: str, element: PlyElement) -> tuple[dict[str, PlyColumn], int] | None:
     """Columns of an element whose rows all have lists as long as those of the first; None for others."""
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     place = at
@@ -153,7 +153,7 @@ def _equal_rows(data: bytes, at: int, order: str, element: PlyElement) -> tuple[
             counts = rows[f"n{i}"].astype(np.int64)
             if (counts != counts[0]).any():
                 return None
-        columns[field[0]] = Column(rows[f"v{i}"].reshape(-1), field[-1], counts)
+        columns[field[0]] = PlyColumn(rows[f"v{i}"].reshape(-1), field[-1], counts)
     return columns, end
 
 
@@ -176,7 +176,7 @@ class Triangles:
     corners: NDArray[np.int64]
 
 
-def triangles_of(column: Column) -> Triangles:
+def triangles_of(column: PlyColumn) -> Triangles:
     """Triangles of polygons; lists of fewer than three vertices have none."""
     assert column.counts is not None
     count = np.maximum(column.counts - 2, 0)
@@ -188,7 +188,7 @@ def triangles_of(column: Column) -> Triangles:
         return Triangles(column.values.astype(np.int64)[corners].reshape(-1, 3), owner, corners.reshape(-1, 3))
 
 
-def index_column(columns: Columns) -> Column | None:
+def index_column(columns: Columns) -> PlyColumn | None:
     """The lists of vertices among the properties of faces; None without any."""
     return next((columns[name] for name in _INDICES if name in columns and columns[name].counts is not None), None)
 

@@ -17,7 +17,7 @@ from tasks.capture.formats import find_scans
 from tests.capture_scans import box_room, write_posed_rgbd
 from tests.samples import sample, stage_run
 from tests.scans import write_scan
-from tests.tasks.capture.formats.test_search import OBJ, PLY, glb, put
+from tests.tasks.capture.discovery.test_search import OBJ, PLY, glb, put
 from warehouse.lake import Lake
 
 

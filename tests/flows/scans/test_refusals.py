@@ -24,7 +24,7 @@ from schemas.runs import RefusedScan
 from tasks.capture.formats import find_scans
 from tasks.capture.scan import PassedOver
 from tests.samples import sample, stage_run
-from tests.tasks.capture.formats.test_search import PLY, glb, put
+from tests.tasks.capture.discovery.test_search import PLY, glb, put
 from warehouse.lake import Lake
 from warehouse.upkeep.erasure import erase
 from warehouse.upkeep.inspection import inspect
@@ -142,7 +142,7 @@ def test_folders_of_other_things_are_notes_and_fail_no_run(lake: Lake, tmp_path:
 
 @pytest.mark.parametrize("format", ["glb", "tum_rgbd", "posed_rgbd", "scannet", "roomplan", "bare_mesh", "replica_v1"])
 def test_a_run_for_one_format_refuses_no_sound_scan_of_another(format: str, lake: Lake, tmp_path: Path) -> None:
-    from tests.tasks.capture.formats.test_enclosed import INNER
+    from tests.tasks.capture.discovery.test_enclosed import INNER
 
     for name, (make, _) in INNER.items():
         make(tmp_path / "scans" / name)

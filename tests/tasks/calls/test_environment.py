@@ -140,7 +140,8 @@ def test_the_reader_of_foreign_models_is_told_no_more(tmp_path: Path, monkeypatc
     with pytest.raises(InputError):
         confinement.confined("read", model, tmp_path, "a.usda")
     _check(
-        told.read_text().replace(f"PYTHONPATH={os.pathsep.join(place or os.getcwd() for place in sys.path)}", ""), {"PXR_WORK_THREAD_LIMIT"}
+        told.read_text().replace(f"PYTHONPATH={os.pathsep.join(place or os.getcwd() for place in sys.path)}", ""),
+        {"PXR_WORK_THREAD_LIMIT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"},
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from schemas.errors import InputError
-from tasks.calls.attempt import Attempt
+from tasks.calls.attempt import RequestAttempt
 from tasks.calls.exchange import EndpointAway, Exchange
 from tests.tasks.calls.dripping import CHUNKED, DRIPS, dripping
 from tests.tasks.calls.servers import Server, asking, says, server
@@ -128,7 +128,7 @@ def test_giving_one_up_leaves_the_others(server: Server) -> None:
 def test_an_attempt_that_is_over_opens_no_connection(server: Server) -> None:
     import urllib.request
 
-    attempt = Attempt(urllib.request.Request(server.url), lambda reply: b"", 1.0)
+    attempt = RequestAttempt(urllib.request.Request(server.url), lambda reply: b"", 1.0)
     attempt._end()
     with pytest.raises(TimeoutError):
         attempt.connect(("127.0.0.1", int(server.url.split(":")[2].split("/")[0])))

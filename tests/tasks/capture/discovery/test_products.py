@@ -15,7 +15,7 @@ from tasks.capture.scan import PassedOver
 from tasks.exports.gltf import aimed_glb
 from tasks.exports.wavefront import dump_obj
 from tasks.geometry.meshes import dump_glb
-from tests.tasks.capture.formats.test_search import OBJ, PLY, glb, put
+from tests.tasks.capture.discovery.test_search import OBJ, PLY, glb, put
 
 BOX = trimesh.creation.box()
 OWN_GLB, OWN_OBJ = aimed_glb(dump_glb([BOX], ["hull_00"])), dump_obj(BOX.vertices, BOX.faces)

@@ -9,7 +9,7 @@ import pytest
 
 from tasks.capture.formats import find_scans, scan_files
 from tasks.capture.scan import PassedOver, UnusableScan
-from tests.tasks.capture.formats.test_search import PLY, captured_room, frames, put, scannet
+from tests.tasks.capture.discovery.test_search import PLY, captured_room, frames, put, scannet
 
 
 def tum(folder: Path) -> None:
