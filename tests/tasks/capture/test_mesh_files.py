@@ -218,7 +218,10 @@ def _flat(vertices: Sequence[Sequence[float]]) -> Surface:
 
 @pytest.mark.parametrize(
     ("surface", "said"),
-    [(_flat([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), "have no area"), (_flat([[0, 0, 0], [9e5, 0, 0], [0, 9e5, 9e5]]), "spans")],
+    [
+        (_flat([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), "have no area"),
+        (_flat([[0, 0, 0], [9e5, 0, 0], [0, 9e5, 9e5]]), "km from the origin and stored as 32-bit floats"),
+    ],
 )
 def test_what_no_unit_explains_is_refused(tmp_path: Path, surface: Surface, said: str) -> None:
     (scan,), _ = find_scans(written(tmp_path, surface, "ply"), "bare_mesh")
