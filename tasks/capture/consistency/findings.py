@@ -98,7 +98,10 @@ def _judged(
         notes.append(f"{statements.lens}: intrinsics: {problem}; depth of its frames agrees on {share:.0%}")
     poses = pose_hypotheses(statements.described, statements.has_quaternions, statements.from_file)
     median = float(np.median(np.concatenate([view.points[:, 2] for view in views])))
-    units, lenses = unit_hypotheses(posed[0].depth_scale, MAX_DEPTH_M / median), lens_hypotheses(posed[0])
+    places = np.array([frame.pose[:3, 3] for frame in posed if frame.pose is not None])
+    extent_m = float(np.ptp(places, axis=0).max())
+    units = unit_hypotheses(posed[0].depth_scale, MAX_DEPTH_M / median, extent_m)
+    lenses = lens_hypotheses(posed[0])
     judgments = [_judge(views, stated, hypothesis) for hypothesis in (*poses, *units, *lenses)]
     better = max((judgment for judgment in judgments if judgment.is_better), key=lambda judgment: judgment.share, default=None)
     if better is None:

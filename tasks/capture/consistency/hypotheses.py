@@ -57,15 +57,21 @@ def _reread(to_scan: Array, described: str, order: str, meaning: str, pose: Arra
     return to_scan @ as_described(own, meaning)
 
 
-def unit_hypotheses(scale: float, max_factor: float) -> list[Hypothesis]:
+MIN_MOTION_M = 0.05
+"""Smallest extent of camera positions [m] in another unit: without motion, equal frames agree under any unit."""
+
+
+def unit_hypotheses(scale: float, max_factor: float, extent_m: float) -> list[Hypothesis]:
     """Other depth units than `scale` units per meter, and positions of poses in other units than meters.
 
     max_factor: largest factor that leaves depth possible; beyond it, positions are in a smaller unit.
+    extent_m: extent of the stated positions [m]; in a smaller unit, cameras must still have moved.
     """
     factors = [(scale / units, f"{units:g} units per meter ({name})") for units, name in UNITS.items()]
     factors = [(factor, words) for factor, words in factors if abs(factor - 1) > _SAME and factor < max_factor]
     hypotheses = [Hypothesis(words, depth_factor=factor) for factor, words in factors]
     smaller = [(factor, name) for factor, name in ((100.0, "centimeters"), (1000.0, "millimeters")) if factor > max_factor]
+    smaller = [(factor, name) for factor, name in smaller if extent_m / factor >= MIN_MOTION_M]
     return hypotheses + [Hypothesis(f"positions of poses in {name}", depth_factor=factor) for factor, name in smaller]
 
 
