@@ -297,7 +297,7 @@ def replicate(
 
 
 def state_of(report: RunReport) -> State[Any]:
-    """How a run ends in Prefect: `Failed` if a scene failed that had not failed before on the same input, a scan was refused, or a
+    """Final state of a run in Prefect: `Failed` if a scene failed that had not failed before on the same input, a scan was refused, or a
     scene was not begun."""
     anew = [line for line in report.failures if line not in report.known and line not in report.refused]
     refused = sorted(report.refused, key=lambda line: line in report.known)  # news first

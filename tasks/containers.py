@@ -128,7 +128,7 @@ def _accessors(document: Document, binary: bytes) -> Problems:
 
 
 def _is_packed(document: Document) -> bool:
-    """Whether meshes are compressed, so that their numbers take more than the bytes of the file."""
+    """True if meshes are compressed, so that their numbers take more than the bytes of the file."""
     views = [name for view in _listed(document, "bufferViews") for name in _extensions(view)]
     primitives = [primitive for mesh in _listed(document, "meshes") for primitive in _listed(mesh, "primitives")]
     names = [*views, *(name for primitive in primitives for name in _extensions(primitive))]
@@ -141,7 +141,7 @@ def _extensions(holder: Document) -> Document:
 
 
 def _times(document: Document, node: Document) -> int:
-    """How often a node places its mesh: once, or once for each of its instances."""
+    """Number of times that a node places its mesh: once, or once for each of its instances."""
     values = _extensions(node).get("EXT_mesh_gpu_instancing")
     attributes = values.get("attributes") if isinstance(values, dict) else None
     if not isinstance(attributes, dict):

@@ -237,7 +237,7 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
 
 @dataclasses.dataclass(frozen=True)
 class Outside:
-    """What went outside of the lake's tables: files and entries of caches, drafts of annotators, records of Prefect."""
+    """Counts removed outside of the lake's tables: files and entries of caches, drafts of annotators, records of Prefect."""
 
     cached: int
     drafts: int

@@ -70,7 +70,7 @@ def command(address: str, config_file: Path | None, settings: tuple[str, ...], s
 def _asked(
     lake: Lake, configuration: Configuration | None, configs: bool, seed: bool
 ) -> tuple[Status, dict[str, dict[str, str]], list[str], list[str], list[RefusedScan]]:
-    """How the lake stands, what it says of every stage, the errors, the checks that exports did not pass, and the refused scans."""
+    """Print the state of the lake and its stages, the errors, failed export checks, and the refused scans."""
     from flows.run.plan import annotation_digests
     from flows.run.report import broken_checks
     from flows.run.status import errors, expected, recorded_states, status_of

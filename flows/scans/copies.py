@@ -24,7 +24,7 @@ _COPY_ENDING = re.compile(
     r"|(?<=[ _.-])(?:copy|kopie|copie|backup|bak|old|orig)(?:[ _-]?\d+)?)$",
     re.IGNORECASE | re.ASCII,
 )
-"""How file managers and people end the names of copies: `scan (copy)`, `scan (1)`, `scan - Copy`, `scan.bak`."""
+"""Endings that file managers and people give to copies: `scan (copy)`, `scan (1)`, `scan - Copy`, `scan.bak`."""
 
 _COPY_BEGINNING = re.compile(r"^(?:copy of|kopie von) ", re.IGNORECASE)
 

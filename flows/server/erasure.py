@@ -109,7 +109,7 @@ def _has_prefect() -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class _Places:
-    """Where Prefect keeps records: its home, result storage and database, and the server that its clients ask."""
+    """Places in which Prefect keeps records: its home, result storage and database, and the server that its clients ask."""
 
     home: Path
     storage: Path

@@ -9,7 +9,7 @@ from schemas.budget import BUDGET
 
 
 class TooMuch(ValueError):
-    """What is in a file would take more memory than the budget has."""
+    """Content of a file that would take more memory than the budget."""
 
 
 _COSTS = {b"[": 88, b"{": 240, b",": 32, b":": 60, b'"': 25}

@@ -95,7 +95,7 @@ def is_framed(folder: Path) -> bool:
 
 
 def is_frame_name(name: str) -> bool:
-    """Whether a file is called as one of frames that lie side by side in one folder."""
+    """True if a file has the name of a frame in a flat folder of frames."""
     return _FLAT.fullmatch(name) is not None
 
 

@@ -71,7 +71,7 @@ MATERIALS = frozenset((*IMAGES, ".mtl", ".txt", ".bin"))
 _JUNK = frozenset({
     "thumbs.db", "desktop.ini", "icon\r", "__macosx", "lost+found", "system volume information", "$recycle.bin", "@eadir",
 })  # fmt: skip
-"""What operating systems leave in folders and on disks, besides hidden files."""
+"""Files and folders that operating systems leave, in addition to hidden files."""
 
 
 def likeness(folder: Path, formats: Sequence[ScanFormat]) -> tuple[str, str] | None:
@@ -164,7 +164,7 @@ def _may_be_scan(folder: Path) -> bool:
 
 
 def visible(folder: Path) -> Iterator[Path]:
-    """What lies in a folder, sorted, without hidden files and what operating systems leave."""
+    """Entries of a folder, sorted, without hidden files and leftovers of operating systems."""
     return (path for path in sorted(folder.iterdir()) if not path.name.startswith(".") and not is_junk(path.name))
 
 

@@ -46,7 +46,7 @@ Found = tuple[list[Scan], list[InputError]]
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """What is searched for: the wanted ones of all formats; the dataset, if it is named; and where links may lead."""
+    """Scope of a search: the wanted ones of all formats; the dataset, if it is named; and where links may lead."""
 
     formats: tuple[ScanFormat, ...]
     wanted: tuple[ScanFormat, ...]
@@ -60,7 +60,7 @@ class Search:
 
     @property
     def expected(self) -> str:
-        """What a scan is, in the words of an error."""
+        """Description of a scan for an error."""
         if len(self.wanted) == 1:
             return self.wanted[0].expected
         example = next((format for format in self.formats if format.is_plain), self.formats[0])

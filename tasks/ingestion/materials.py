@@ -143,7 +143,7 @@ def map_line(rest: str) -> MapLine:
 
 
 def _skip_options(words: Sequence[str], numbers: dict[str, list[float]]) -> int:
-    """How many of the first words are options; their numbers are kept in `numbers`."""
+    """Number of leading words that are options; their numbers are kept in `numbers`."""
     at = 0
     while at < len(words) and words[at].lower() in {*_NUMBERS, *_WORDS}:
         option = words[at].lower()

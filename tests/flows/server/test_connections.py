@@ -127,7 +127,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Callable[
 
 
 def answer(connection: socket.socket, request: bytes = b"") -> bytes:
-    """What comes back until the answer is complete or the connection ends."""
+    """Bytes that arrive until the answer is complete or the connection ends."""
     connection.sendall(request)
     said = b""
     with contextlib.suppress(ConnectionError):

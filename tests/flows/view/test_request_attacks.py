@@ -122,7 +122,7 @@ def page(request: pytest.FixtureRequest) -> Page:
 
 
 def scope_of(attack: Attack, cookie: str) -> dict[str, Any]:
-    """What uvicorn hands on of a request."""
+    """Messages of a request that uvicorn passes on."""
     headers = [(b"host", host.encode("latin-1")) for host in attack.hosts]
     headers += [(b"origin", attack.origin.encode())] if attack.origin is not None else []
     headers += [(b"cookie", cookie.encode())] if cookie else []
@@ -132,7 +132,7 @@ def scope_of(attack: Attack, cookie: str) -> dict[str, Any]:
 
 
 async def sent_for(app: Any, scope: dict[str, Any], body: bytes) -> list[dict[str, Any]]:
-    """What an application sends."""
+    """Messages that an application sends."""
     parts = [body[at : at + 60_000] for at in range(0, len(body), 60_000)] or [b""]
     messages = [{"type": "http.request", "body": part, "more_body": part is not parts[-1]} for part in parts]
     messages = [{"type": "websocket.connect"}] if scope["type"] == "websocket" else messages

@@ -28,7 +28,7 @@ def stamp(index: int) -> str:
 
 
 def paired(text: str, keys: list[str], place: Path, notes: list[str] | None = None) -> tuple[list[int | None], dict[int, str]]:
-    """Which pose each image gets, by its x, and the reasons of the others."""
+    """Pose of each image, by its x, and the reasons of the others."""
     path = place / "groundtruth.txt"
     path.write_bytes(text.encode())
     poses, reasons = read_trajectory(path, path.name, keys, notes=notes)
