@@ -134,5 +134,5 @@ def test_chains_of_thousands_of_arcs_and_deep_prims_are_refused(tmp_path: Path) 
 def test_what_is_missing_or_broken_is_left_to_usd(tmp_path: Path) -> None:
     (tmp_path / "broken.usda").write_text("no layer")
     arcs = "prepend references = [@./missing.usda@, @./broken.usda@, </gone>]"
-    refuse_large_stage(written(tmp_path, {"l0.usda": HEAD.format("") + prim("r", arcs)}))
-    refuse_large_stage(tmp_path / "missing.usda")
+    assert refuse_large_stage(written(tmp_path, {"l0.usda": HEAD.format("") + prim("r", arcs)})) is None
+    assert refuse_large_stage(tmp_path / "missing.usda") is None
