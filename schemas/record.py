@@ -65,6 +65,8 @@ class Column:
         if self.length is not None and len(value) != self.length:
             return f"must have {self.length} values, got {len(value)}"
         for number in _numbers(value):
+            if isinstance(number, int) and not _fits(number, self):
+                return f"must fit into 64 bits, got a number of {number.bit_length()} bits"
             if not math.isfinite(number):
                 return f"must be finite, got {number}"
             if self.minimum is not None and number < self.minimum:
@@ -296,6 +298,7 @@ def _keeps_rules(values: Sequence[Any], c: Column) -> bool:
         return kinds <= {str, bool, datetime}
     return (
         kinds <= {int, float}
+        and (int not in kinds or all(_fits(value, c) for value in values if type(value) is int))
         and all(map(math.isfinite, values))
         and (c.minimum is None or min(values) >= c.minimum)
         and (c.maximum is None or max(values) <= c.maximum)
@@ -321,6 +324,12 @@ def _arrow_type(hint: Any) -> tuple[pa.DataType, bool]:
             raise TypeError(f"a tuple column has one element type, not {hint}")
         return pa.list_(_arrow_type(element)[0]), False
     return _SCALARS[hint], False
+
+
+def _fits(number: int, c: Column) -> bool:
+    """True if a whole number fits into 64 bits: as an integer, or as a double in a column of floats."""
+    item = c.type.value_type if pa.types.is_list(c.type) else c.type
+    return -(2**63) <= number < 2**63 if pa.types.is_integer(item) else abs(number) < 2**1023
 
 
 def _type_rule(value: Any, c: Column) -> str | None:

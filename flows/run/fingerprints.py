@@ -21,7 +21,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from schemas.files import open_file, sane_bytes, write_whole
+from schemas.budget import BUDGET
+from schemas.errors import InputError
+from schemas.files import open_file, read_file, sane_bytes, write_whole
 from schemas.parsing import json_value
 from schemas.tables import TABLES
 
@@ -233,8 +235,8 @@ class FileHashes:
         self._known: dict[str, list[Any]] = {}
         self._changed = False
         try:
-            read = json_value(self._store.read_text())
-        except (OSError, ValueError):
+            read = json_value(read_file(self._store, self._store.name, BUDGET.json_bytes))
+        except (InputError, OSError, ValueError):
             read = None
         if isinstance(read, dict):  # anything else was not written by us, or not whole
             self._known = {path: entry for path, entry in read.items() if isinstance(entry, list) and len(entry) == 5}

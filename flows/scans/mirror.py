@@ -24,7 +24,9 @@ from flows.progress import Progress
 from flows.run.fanout.quota import GB, KEEP_FREE_GB
 from flows.run.fingerprints import cache_folder, digest
 from flows.scans.listing import ListedPath, ScanFile, ScanListing, files_of, listed_folder, listings, usable_paths
+from schemas.budget import BUDGET
 from schemas.errors import InputError
+from schemas.files import read_file
 from schemas.text import one_line
 from tasks.batches import parse_json
 from tasks.capture.formats import find_scans, scan_files
@@ -298,8 +300,8 @@ class _Version:
 def facts_of(path: Path) -> dict[str, Any]:
     """Facts of a version, as they were written; empty if the file is gone or damaged. The version is fetched again then."""
     try:
-        read = parse_json(path.read_bytes(), str(path))
-    except (FileNotFoundError, InputError):
+        read = parse_json(read_file(path, path.name, BUDGET.text_bytes), str(path))
+    except InputError:
         return {}
     return read if isinstance(read, dict) else {}
 

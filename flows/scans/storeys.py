@@ -110,8 +110,8 @@ def _record(folder: Path) -> dict[str, Any] | None:
     try:
         record = json_value(read_file(path, name, BUDGET.settings_bytes))
         _ = record["scene_id"], [(str(storey["scan"]), float(storey["floor_m"])) for storey in record["storeys"]]
-    except (ValueError, TypeError, KeyError) as error:
-        raise InputError(name, "content", "is no record of storeys", "remove the folder") from error
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
+        raise InputError(name, "content", "is not a record of storeys", "remove the folder") from error
     return dict(record)
 
 

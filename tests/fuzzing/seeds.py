@@ -525,17 +525,23 @@ def navmesh() -> list[Case]:
 
 
 def records() -> list[Case]:
-    """Records that the project writes itself, as JSON: of storeys, of hashed files, of a holder, of a release."""
+    """Records that the project writes itself, as JSON: storeys, hashed files, a holder, a release, a mirrored scan, tokens, an erasure."""
     from bench.samples import sample
     from schemas.runs import Release
     from tasks.capture.layout import STOREYS_RECORD
     from warehouse.tables.released import record_fields
+    from warehouse.upkeep.erasure.plan import PATH
 
+    key = {"token": "t" * 43, "since": "2026-01-01T00:00:00+00:00", "roles": ["annotator"]}
+    names = {name: ["a"] for name in ("names", "spared", "blobs", "assets", "releases")}
     made = {
         STOREYS_RECORD: {"scene_id": "a/b", "storeys": [{"scan": "b_0", "floor_m": 0.0}, {"scan": "b_1", "floor_m": 2.7}]},
         "file_hashes.json": {"/a/b": [1, 2, 3, 4, "5" * 64]},
         "held.json": {"token": "a", "host": "b", "expires": 1.0, "life": 2.0},
         "release.json": record_fields(sample(Release)),
+        "version.json": {"scene": "a/b", "scan": "b", "content": "c" * 64, "bytes": 3, "files": {"a.ply": 3}},
+        "tokens.json": {"port": 4321, "origin": "http://127.0.0.1:4321", "people": {"ada": key, "bob": {**key, "token": None}}},
+        PATH: {"scene_id": "a/b", "started_at": "2026-01-01T00:00:00+00:00", "last": 3, **names},
     }
     return [{name: json.dumps(value).encode()} for name, value in made.items()]
 

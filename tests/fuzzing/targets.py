@@ -17,6 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from schemas.budget import BUDGET
 from schemas.errors import LakeError
 from schemas.files import read_file
 from tasks.exports.formats import FORMATS
@@ -378,9 +379,13 @@ def _read_mesh(folder: Path) -> None:
 def _read_records(folder: Path) -> None:
     """JSON that the project wrote itself, to scans, caches and lakes, and that may be damaged."""
     from flows.run.fingerprints import FileHashes
+    from flows.scans.mirror import facts_of
     from flows.scans.storeys import STOREYS_RECORD, _record
+    from flows.view.annotating.keys import KeyFile
     from warehouse.sharing.held import parsed
+    from warehouse.storage.files import storage_at
     from warehouse.tables.released import parse_release
+    from warehouse.upkeep.erasure.plan import PATH, read_plan
 
     for file in sorted(folder.glob("*.json")):
         if file.name == STOREYS_RECORD:
@@ -388,9 +393,15 @@ def _read_records(folder: Path) -> None:
         elif file.name == "file_hashes.json":
             FileHashes(file)
         elif file.name == "held.json":
-            parsed(file.read_bytes())
+            parsed(read_file(file, file.name, BUDGET.text_bytes))
         elif file.name == "release.json":
-            parse_release(file.name, file.read_bytes())
+            parse_release(file.name, read_file(file, file.name, BUDGET.text_bytes))
+        elif file.name == "version.json":
+            facts_of(file)
+        elif file.name == "tokens.json":
+            KeyFile(file).read()
+        elif file.name == PATH and file.is_file():
+            read_plan(storage_at(folder))
 
 
 def _read_settings(folder: Path) -> None:

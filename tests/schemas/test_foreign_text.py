@@ -59,7 +59,7 @@ def test_nesting_is_a_value_error(text: bytes) -> None:
 
 def test_records_on_disk_that_are_nested_are_refused_or_left_out(tmp_path: Path) -> None:
     (tmp_path / STOREYS_RECORD).write_bytes(DEEP)
-    with pytest.raises(InputError, match=f"{STOREYS_RECORD}: content: is no record of storeys; remove the folder"):
+    with pytest.raises(InputError, match=f"{STOREYS_RECORD}: content: is not a record of storeys; remove the folder"):
         _record(tmp_path)
     (tmp_path / "hashes.json").write_bytes(DEEP)
     assert FileHashes(tmp_path / "hashes.json")._known == {}, "a damaged cache is written again"

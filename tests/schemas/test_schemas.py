@@ -161,6 +161,21 @@ def test_every_column_that_must_be_there_is_missed(table: Table) -> None:
             assert "missing" in refused.value.rule
 
 
+@pytest.mark.parametrize("number", [10**400, -(10**400), 2**63])
+def test_whole_numbers_that_no_column_holds_are_refused(number: int) -> None:
+    """Python's own have no limit, and JSON may state any."""
+    tried = 0
+    for table in TABLES.values():
+        row = sample(table.record)
+        for c in table.columns:
+            is_integer = pa.types.is_integer(c.type)
+            if c.maximum is None and (is_integer or (pa.types.is_floating(c.type) and number != 2**63)):
+                with pytest.raises(RecordError, match="64 bits"):
+                    check([dataclasses.replace(row, **{c.name: number})], table.record)
+                tried += 1
+    assert tried > 50
+
+
 @pytest.mark.parametrize("table", TABLES.values(), ids=lambda table: table.name)
 def test_table_is_well_declared(table: Table) -> None:
     names = [c.name for c in table.columns]

@@ -224,8 +224,15 @@ def parsed(content: bytes) -> Holder | None:
 
 
 def holder_from(fields: Facts) -> Holder:
-    """The holder that a file's fields name."""
-    return Holder(str(fields["token"]), str(fields["host"]), float(fields["expires"]), float(fields["life"]))
+    """The holder that a file's fields name.
+
+    Raises:
+        ValueError, KeyError, TypeError: the fields are not those of a holder.
+    """
+    try:
+        return Holder(str(fields["token"]), str(fields["host"]), float(fields["expires"]), float(fields["life"]))
+    except OverflowError as error:
+        raise ValueError(str(error)) from error
 
 
 def held_in(

@@ -177,7 +177,7 @@ def test_what_is_no_folder_of_storeys_is_not_touched(tmp_path: Path, scans: Path
     assert row.error.endswith("house: folder: is there already, and is none of storeys; name another --out, or remove it")
     (tmp_path / "out" / "house" / RECORD).write_text("[]")
     (row,) = (row for row in divide(scans, tmp_path / "out") if row.scene_id == "mesh/house")
-    assert row.error == f"house/{RECORD}: content: is no record of storeys; remove the folder"
+    assert row.error == f"house/{RECORD}: content: is not a record of storeys; remove the folder"
     assert (tmp_path / "out" / "house" / "thesis.txt").read_text() == "mine"
 
 
