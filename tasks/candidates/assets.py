@@ -157,12 +157,13 @@ def decimated(surface: Surface, face_count: int) -> Surface:
 def _closed(surface: Surface) -> Surface | None:
     """A surface that is closed, as it is indexed or once equal corners are one (textures split them); None for an open one.
 
-    Faces of the same three corners count once: some programs list each face again for its other side.
+    Faces of the same three corners count once where that closes the surface: some programs list each face again for
+    its other side. Two closed bodies that touch have such faces, too, and keep both.
     """
     made = joined(surface)
     single = distinct_faces(made)
-    if len(single.faces) < len(made.faces):
-        return _consistent(single) if is_closed(single.faces) else None
+    if len(single.faces) < len(made.faces) and is_closed(single.faces):
+        return _consistent(single)
     if is_closed(surface.faces):
         return surface
     return made if is_closed(made.faces) else None

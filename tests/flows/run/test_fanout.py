@@ -370,11 +370,12 @@ def test_failures_of_a_run_that_had_to_start_over_are_its_own(plan: tuple[Plan, 
         before = dataclasses.replace(lost_run(job_of(lake, scene, scene.steps[0], configure()), "failed", "bad", 0.0), started_at=moment)
         step = dataclasses.replace(scene.steps[0], action="report", before=before)
         planned = dataclasses.replace(scene, steps=(step, *(dataclasses.replace(s, action="wait") for s in scene.steps[1:])))
-        return report_of(Plan((planned,), (InputError("a", "", "no scan"), FetchError("b", "", "disk full"))), None, began)
+        unusable = (InputError("a", "", "no scan"), InputError("c", "", "no scan"), FetchError("b", "", "disk full"))
+        return report_of(Plan((planned,), unusable), None, began, refused_before={"a: no scan"})
 
     old, new = failed_at(began - timedelta(hours=1)), failed_at(began + timedelta(seconds=1))
     line = f"{scene.scan.scene_id}: {scene.steps[0].stage}: bad"
-    assert set(old.failures) == set(new.failures) == {"a: no scan", "b: disk full", line}
+    assert set(old.failures) == set(new.failures) == {"a: no scan", "b: disk full", "c: no scan", line}
     assert set(old.known) == {"a: no scan", line}
     assert set(new.known) == {"a: no scan"}
     assert old.failed == new.failed == (scene.scan.scene_id,)

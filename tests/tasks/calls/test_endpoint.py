@@ -100,7 +100,7 @@ def test_a_key_in_a_line_that_is_none_is_not_told() -> None:
 @pytest.mark.parametrize("host", ["example.org", "10.0.0.4:80", "localhost.a.org", "127.0.0.1.a.org", "[fe80::1]", "0.0.0.0"])
 def test_a_key_goes_nowhere_in_the_clear(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SEER_KEY", KEY)
-    monkeypatch.setattr(exchange, "Attempt", None)
+    monkeypatch.setattr(exchange, "RequestAttempt", None)
     told = VisionLanguage(url=f"http://{host}/v1", model="seer-1", key_variable="SEER_KEY")
     for refuse in (lambda: vision_language.check(told), lambda: Endpoint(told.url, "seer-1", KEY).ask([], SCHEMA)):
         with pytest.raises(InputError, match=r"^selection\.provider\.url: a key would go to .* in the clear") as refused:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections import UserDict
 from collections.abc import Callable, Iterable
@@ -15,7 +14,7 @@ import trimesh
 
 from schemas.errors import InputError
 from tasks.furniture import generate
-from tasks.geometry.meshes import dump_glb, surface_of
+from tasks.geometry.meshes import Surface, dump_glb, surface_of
 from tasks.geometry.pieces import PieceConfig, asset_pieces
 from tasks.geometry.transforms import yaw_pose
 from tasks.library import indexing
@@ -158,11 +157,21 @@ def test_a_file_that_changed_since_is_not_taken_for_its_entry(tmp_path: Path) ->
         entry_parts(entry, tmp_path, ModelFacts())
 
 
-@pytest.mark.parametrize(("part", "reason"), [("whole", None), ("hole", "3 edges of one face"), ("fin", "3 of more than two")])
+@pytest.mark.parametrize(
+    ("part", "reason"),
+    [("whole", None), ("listed twice", None), ("hole", "3 edges of one face"), ("fin", "2 edges of one face, 1 of more than two")],
+)
 def test_why_a_model_is_open(tmp_path: Path, part: str, reason: str | None) -> None:
     surface = surface_of([trimesh.creation.box((0.4, 0.5, 0.9))])
-    faces = {"whole": surface.faces, "hole": surface.faces[1:], "fin": np.concatenate([surface.faces, surface.faces[:1, ::-1]])}[part]
-    (tmp_path / "chair.glb").write_bytes(as_glb([dataclasses.replace(surface, faces=faces).to_trimesh()]))
+    faces = {
+        "whole": surface.faces,
+        "listed twice": np.concatenate([surface.faces, surface.faces[:1, ::-1]]),
+        "hole": surface.faces[1:],
+        "fin": np.concatenate([surface.faces, [[*surface.faces[0, :2], 8]]]),
+    }[part]
+    vertices, colors = np.vstack([surface.vertices, np.zeros(3)]), np.vstack([surface.colors, surface.colors[:1]])
+    surface = Surface(vertices, faces, colors)
+    (tmp_path / "chair.glb").write_bytes(as_glb([surface.to_trimesh()]))
     (entry,) = index_folder(tmp_path, Catalog({}), IndexConfig(), {}).entries
     assert (entry.asset.is_watertight, entry.asset.open_reason) == (reason is None, reason)
 
