@@ -98,6 +98,9 @@ def guarded(command: Sequence[str], environment: Mapping[str, str], quiet: bool 
             env=dict(environment), pass_fds=[theirs],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL if quiet else sys.stderr, start_new_session=True,
         )  # fmt: skip
+    except BaseException:
+        os.close(lifeline)
+        raise
     finally:
         os.close(theirs)
     try:

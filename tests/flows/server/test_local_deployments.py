@@ -14,6 +14,7 @@ import httpx
 import psutil
 import pytest
 
+from flows.server.services import guarded
 from schemas.runs import StageRun
 from tasks.pipeline import SCENE_STAGES
 from tests.conftest import REPOSITORY
@@ -46,6 +47,13 @@ def test_what_a_service_started_ends_with_us_however_we_end(how: signal.Signals)
     eventually(
         lambda: not any(process.is_running() and process.status() != psutil.STATUS_ZOMBIE for process in [guard, *below]), "the end of all"
     )
+
+
+def test_a_service_that_cannot_start_leaves_no_file_open() -> None:
+    before = psutil.Process().num_fds()
+    with pytest.raises(ValueError, match="null"), guarded(["true"], {"NAME": "a\0b"}):
+        pytest.fail("it started")
+    assert psutil.Process().num_fds() == before
 
 
 @pytest.mark.slow
