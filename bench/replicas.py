@@ -61,7 +61,8 @@ def _scene_row(scene: BenchScene, blobs: Blobs) -> Scene:
     dataset, scan = scene.scene_id.split("/", 1)
     return Scene(
         scene_id=scene.scene_id, room_id=scene.scene_id, dataset=dataset, scan=scan, scan_format="glb", scan_path="-",
-        alignment=flat(np.eye(4)), alignment_source="identity", floor_tilt_radians=0.0, mesh_blob=blobs.add(b"none", "glb"),
+        alignment=flat(np.eye(4)), alignment_source="identity", to_original=flat(np.eye(4)),
+        floor_tilt_radians=0.0, mesh_blob=blobs.add(b"none", "glb"),
         vertex_count=3, face_count=1, frame_count=0, instance_count=len(scene.rows["instances"]), segmentation="file",
         license="Apache-2.0",
     )  # fmt: skip

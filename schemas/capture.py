@@ -39,6 +39,11 @@ class Scene:
         "Where the alignment came from; format is the format's convention of which axis is up",
         values=("file", "estimated", "identity", "format"),
     )
+    to_original: tuple[float, ...] = column(
+        "World frame to the coordinates, axes and units of the scan's file, 4x4 row by row: the offset of a survey, and the scale of "
+        "a file in other units",
+        length=16,
+    )
     floor_tilt_radians: float | None = column(
         "Angle between the scan's floor and the horizontal before alignment; missing when nobody measured it", unit="rad", minimum=0
     )

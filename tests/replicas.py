@@ -78,7 +78,8 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
     dataset, scan = scene_id.split("/")
     scene = Scene(
         scene_id=scene_id, room_id=scene_id, dataset=dataset, scan=scan, scan_format="scannet", scan_path="-", alignment=flat(np.eye(4)),
-        alignment_source="identity", floor_tilt_radians=0.0, mesh_blob=blobs.add(b"none", "glb"), vertex_count=3, face_count=1,
+        alignment_source="identity", to_original=flat(np.eye(4)),
+        floor_tilt_radians=0.0, mesh_blob=blobs.add(b"none", "glb"), vertex_count=3, face_count=1,
         frame_count=0, instance_count=len(objects), segmentation="file", license="CC0-1.0",
     )  # fmt: skip
     rows: dict[str, list[Any]] = {name: [] for name in ("instances", "captions", "placements", "supports")}

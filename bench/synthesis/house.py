@@ -117,7 +117,8 @@ def _scene(count: int) -> Scene:
     identity = flat(np.eye(4))
     return Scene(
         scene_id=SCENE, room_id=SCENE, dataset="house", scan="truth", scan_format="metascenes", scan_path="", alignment=identity,
-        alignment_source="identity", floor_tilt_radians=None, mesh_blob=f"{_asset_id('mesh')}.glb", vertex_count=8, face_count=12,
+        alignment_source="identity", to_original=flat(np.eye(4)),
+        floor_tilt_radians=None, mesh_blob=f"{_asset_id('mesh')}.glb", vertex_count=8, face_count=12,
         frame_count=0, instance_count=count, segmentation="objects", license=None,
     )  # fmt: skip
 

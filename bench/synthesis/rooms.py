@@ -161,7 +161,7 @@ def _rows(room: ToppedRoom) -> dict[str, list[Any]]:
     identity = flat(np.eye(4))
     scene = Scene(
         scene_id=room.scene_id, room_id=room.scene_id, dataset="tops", scan=room.scene_id.split("/")[1], scan_format="metascenes",
-        scan_path="", alignment=identity, alignment_source="identity", floor_tilt_radians=None,
+        scan_path="", alignment=identity, alignment_source="identity", to_original=identity, floor_tilt_radians=None,
         mesh_blob=_blob(room.scene_id, "mesh", "glb"), vertex_count=8, face_count=12, frame_count=0, instance_count=len(instances),
         segmentation="objects", license=None,
     )  # fmt: skip

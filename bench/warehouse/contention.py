@@ -247,7 +247,8 @@ def _run(scene: str, stage: str, prints: dict[str, str], at: float) -> StageRun:
 def _scene(scene: str, tag: str, mesh: str) -> Scene:
     return Scene(
         scene_id=scene, room_id=scene.removesuffix("_00"), dataset="contention", scan=scene.partition("/")[2], scan_format="glb",
-        scan_path="", alignment=(1.0,) * 16, alignment_source="identity", floor_tilt_radians=0.0, mesh_blob=mesh, vertex_count=3,
+        scan_path="", alignment=(1.0,) * 16, alignment_source="identity", to_original=(1.0,) * 16,
+        floor_tilt_radians=0.0, mesh_blob=mesh, vertex_count=3,
         face_count=1, frame_count=0, instance_count=CAPTIONS, segmentation="file", license=tag,
     )  # fmt: skip
 

@@ -85,6 +85,11 @@ class Reading:
     materials: NDArray[np.int64] | None = None
     from_file: NDArray[np.float64] | None = None
 
+    @property
+    def to_original(self) -> NDArray[np.float64]:
+        """Scan frame to the file's own units and axes, 4x4."""
+        return np.eye(4) if self.from_file is None else np.asarray(np.linalg.inv(self.from_file), dtype=np.float64)
+
 
 def groups_of(named: Sequence[tuple[str, str, NDArray[np.int64]]], owner: NDArray[np.int64], surface: Surface) -> tuple[Group, ...]:
     """Instances with their faces: those whose corners all belong. `owner`: instance per vertex, -1 for none, shape (n,)."""

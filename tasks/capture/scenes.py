@@ -148,6 +148,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         scan_path=str(scan.path),
         alignment=flat(alignment.pose),
         alignment_source=alignment.source,
+        to_original=flat(reading.to_original @ np.linalg.inv(alignment.pose)),
         floor_tilt_radians=alignment.floor_tilt,
         mesh_blob=blobs.add(mesh, "glb"),
         vertex_count=len(world.vertices),

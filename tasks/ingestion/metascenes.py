@@ -14,14 +14,24 @@ import numpy as np
 
 from schemas.errors import InputError
 from schemas.files import stays_in
-from tasks.capture.files.documents import first_line, name_of, read_bytes
+from tasks.capture.files.documents import first_line, json_kind, name_of, read_bytes
 from tasks.capture.labels import Label, LabelMap
 from tasks.geometry.meshes import surface_of
 from tasks.geometry.transforms import translation
 from tasks.ingestion.floors import read_layout
 from tasks.ingestion.materials import material_files
 from tasks.ingestion.models import ENDINGS, read_model
-from tasks.ingestion.scene import Array, FinishedObject, FinishedScene, ImportedModel, Source, scaled_pose
+from tasks.ingestion.scene import (
+    MIRROR,
+    Array,
+    FinishedObject,
+    FinishedScene,
+    ImportedModel,
+    Source,
+    is_mirrored,
+    mirrored_model,
+    scaled_pose,
+)
 from tasks.ingestion.values import LICENSES, json_document
 
 if TYPE_CHECKING:
@@ -68,7 +78,8 @@ def _source(root: Path, dataset: str, scan: Path, names: Path | None) -> Source:
                 notes.append(f"{name_of(folder, root)}: holds no mesh: left out")
                 continue
             if not stays_in(mesh, root):
-                raise InputError(name_of(mesh, root), "file", "leads out of the dataset's folder", "copy it in")
+                notes.append(f"{name_of(mesh, root)}: leads out of the dataset's folder: left out")
+                continue
             meshes[folder.name] = mesh.relative_to(root).as_posix()
             files |= {mesh, *material_files(mesh, root)}
         if not meshes:
@@ -114,13 +125,16 @@ def _mesh_file(folder: Path) -> Path | None:
 def read_metascenes(source: Source, labels: LabelMap) -> FinishedScene:
     """A scan with its objects, where people put them and where the dataset's physics engine moved them, and its floor.
 
+    An object whose mesh cannot be read is left out, and one whose matrix is of no use stays where people put it; notes say so.
+
     Raises:
-        InputError: a file cannot be used, or a value in it makes no sense; names both.
+        InputError: a file of the whole scan cannot be used, or none of its objects; names file and field.
     """
     root, about = source.root, source.about
     notes = list(about["notes"])
-    matrices, remarks = _simulated(source)
-    names = _names(source) | remarks
+    matrices, remarks, more = _simulated(source)
+    names, unnamed = _names(source)
+    names, notes = names | remarks, [*notes, *more, *unnamed]
     unknown = sorted(set(matrices) - set(about["meshes"]))
     notes += [f"{about['simulated']}: matrix.{name}: there is no such object: left out" for name in unknown]
     if not about["simulated"]:
@@ -128,17 +142,27 @@ def read_metascenes(source: Source, labels: LabelMap) -> FinishedScene:
     license = first_line(root / about["license"], root) if about["license"] else None
     ids = instance_ids(list(about["meshes"]))
     objects = []
+    broken: list[InputError] = []
     for name, file in about["meshes"].items():
-        parts, more = read_model(root / file, root, is_z_up=True)
+        try:
+            parts, more = read_model(root / file, root, is_z_up=True)
+        except InputError as error:
+            broken.append(error)
+            continue
         notes += more
         label = labels[names.get(name, "")]
         if not names.get(name):
             label = Label("unlabeled", 0, is_known=False)
         elif not label.is_known:
             notes.append(f"{about.get('names_file') or about['simulated']}: {names[name]!r} is not in the label map, nyu40 class 0")
-        objects.append(
-            _object(name, ids[name], parts, file, names.get(name, ""), label, license, matrices.get(name), str(about["simulated"]))
+        instance, more = _object(
+            name, ids[name], parts, file, names.get(name, ""), label, license, matrices.get(name), str(about["simulated"])
         )
+        objects.append(instance)
+        notes += more
+    if not objects:
+        raise broken[0]
+    notes += [f"{error}: the object is left out" for error in broken]
     if not any(names.get(name) for name in about["meshes"]):
         notes.append(f"{source.scan}: no names of instances: every category is unlabeled; give them with --labels")
     layout, more = read_layout([root / path for path in about["layouts"]], root, objects)
@@ -171,37 +195,50 @@ def instance_ids(names: list[str]) -> dict[str, str]:
 def _object(
     name: str, instance_id: str, parts: list[trimesh.Trimesh], file: str, raw: str, label: Label, license: str | None,
     matrix: Array | None, simulated: str,
-) -> FinishedObject:  # fmt: skip
-    """An instance: its mesh about the center of its box, the pose that people gave it, and the one of the physics engine."""
+) -> tuple[FinishedObject, list[str]]:  # fmt: skip
+    """An instance: its mesh about the center of its box, the pose that people gave it, and the one of the physics engine.
+
+    A matrix that mirrors the object mirrors its mesh. One that cannot be used leaves the object where people put it.
+    """
     center = surface_of(parts).bounds.mean(axis=0)
     for part in parts:
         part.apply_translation(-center)
     model = ImportedModel(tuple(parts), (), f"{file.split('/')[-3]}_{name}", file, license or "unknown")
     annotated = translation(center)
+    notes: list[str] = []
+    remains = "the dataset's physics engine has no pose for it" if simulated and matrix is None else None
+    if matrix is not None:
+        field = f"matrix.{name}"
+        try:
+            pose, scale = scaled_pose(matrix @ MIRROR if is_mirrored(matrix) else matrix, simulated, field)
+        except InputError as error:
+            notes.append(f"{error}: the object stays where people put it")
+            matrix, remains = None, "the pose of the dataset's physics engine cannot be used"
     if matrix is None:
-        remains = "the dataset's physics engine has no pose for it" if simulated else None
-        return FinishedObject(
-            instance_id, name, raw, label, model, annotated, np.ones(3), is_annotated=True, remains=remains
-        )  # fmt: skip
-    pose, scale = scaled_pose(matrix, simulated, f"matrix.{name}")
+        own = FinishedObject(instance_id, name, raw, label, model, annotated, np.ones(3), is_annotated=True, remains=remains)
+        return own, notes
+    if is_mirrored(matrix):
+        model = mirrored_model(model)
+        notes.append(f"{simulated}: {field}: mirrors the object: its mesh is mirrored")
     # Matrices are written with few digits: a scale of 1 up to rounding is 1.
     scale = np.where(np.abs(scale - 1.0) < 1e-4, 1.0, scale)
-    return FinishedObject(instance_id, name, raw, label, model, pose, scale, annotated, is_annotated=True)
+    return FinishedObject(instance_id, name, raw, label, model, pose, scale, annotated, is_annotated=True), notes
 
 
-def _simulated(source: Source) -> tuple[dict[str, Array], dict[str, str]]:
-    """Matrices and labels by instance, as `Physical_simu` has them."""
+def _simulated(source: Source) -> tuple[dict[str, Array], dict[str, str], list[str]]:
+    """Matrices and labels by instance, as `Physical_simu` has them, and a note on every matrix that is none."""
     file = str(source.about["simulated"])
     if not file:
-        return {}, {}
+        return {}, {}, []
     document = json_document(source.root / file, source.root)
     if not isinstance(document, dict):
-        raise InputError(file, "content", f"is a {type(document).__name__}, not an object", "is it the right file?")
+        raise InputError(file, "content", f"is {json_kind(document)}, not an object", "is it the right file?")
     listed = document.get("matrix", document)
     if not isinstance(listed, dict):
-        raise InputError(file, "matrix", f"is a {type(listed).__name__}, not an object", "give a matrix for every instance id")
+        raise InputError(file, "matrix", f"is {json_kind(listed)}, not an object", "give a matrix for every instance id")
     matrices: dict[str, Array] = {}
     labels: dict[str, str] = {}
+    notes: list[str] = []
     for name, value in listed.items():
         stretch: Any = None
         if isinstance(value, dict):
@@ -210,14 +247,17 @@ def _simulated(source: Source) -> tuple[dict[str, Array], dict[str, str]]:
             labels |= {name: label} if label else {}
             stretch = stated.get("scale")
             value = next((stated[key] for key in _MATRIX if key in stated), None)
-            if value is None:
-                raise InputError(file, f"matrix.{name}", "has no matrix", "give 4 rows of 4 numbers")
-        matrices[name] = _matrix(value, stretch, file, f"matrix.{name}")
-    return matrices, labels
+        try:
+            matrices[name] = _matrix(value, stretch, file, f"matrix.{name}")
+        except InputError as error:
+            notes.append(f"{error}: the object stays where people put it")
+    return matrices, labels, notes
 
 
 def _matrix(value: Any, stretch: Any, file: str, field: str) -> Array:
     """A 4x4 matrix given as 4 rows of 4 numbers or 16 numbers, with a scale beside it where there is one."""
+    if value is None:
+        raise InputError(file, field, "has no matrix", "give 4 rows of 4 numbers")
     try:
         matrix = np.asarray(value, dtype=np.float64)
         scale = np.ones(3) if stretch is None else np.broadcast_to(np.asarray(stretch, dtype=np.float64), 3)
@@ -228,14 +268,15 @@ def _matrix(value: Any, stretch: Any, file: str, field: str) -> Array:
     return matrix.reshape(4, 4) @ np.diag([*scale, 1.0])
 
 
-def _names(source: Source) -> dict[str, str]:
-    """Names of instances: a list by their number, or an object by their id."""
+def _names(source: Source) -> tuple[dict[str, str], list[str]]:
+    """Names of instances, from a list by their number or an object by their id, and a note on what is no name."""
     if not source.about["names"]:
-        return {}
+        return {}, []
     file = str(source.about["names_file"])
     document = json_document(file, None, str(source.about["names"]).encode())
-    if isinstance(document, list) and all(isinstance(item, str) for item in document):
-        return {str(index): item for index, item in enumerate(document)}
-    if isinstance(document, dict) and all(isinstance(item, str) for item in document.values()):
-        return {str(key): item for key, item in document.items()}
-    raise InputError(file, "content", "is neither a list of names nor an object of them", "give the name of every instance")
+    if isinstance(document, list):
+        document = {str(index): item for index, item in enumerate(document)}
+    if not isinstance(document, dict):
+        raise InputError(file, "content", "is neither a list of names nor an object of them", "give the name of every instance")
+    names = {name: item for name, item in document.items() if isinstance(item, str)}
+    return names, [f"{file}: {name}: is {json_kind(item)}, not a name" for name, item in document.items() if name not in names]

@@ -81,6 +81,7 @@ def _capture(
         scan_path=str(source.root),
         alignment=flat(scene.alignment),
         alignment_source="identity" if np.array_equal(scene.alignment, np.eye(4)) else "format",
+        to_original=flat(np.linalg.inv(scene.alignment)),
         floor_tilt_radians=None,
         mesh_blob=blobs.add(mesh, "glb"),
         vertex_count=len(merged.vertices),

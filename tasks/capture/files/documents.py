@@ -52,14 +52,14 @@ def read_json(path: Path, name: str) -> dict[str, Any]:
     except ValueError as error:
         raise InputError(name, "content", f"is no JSON ({error})", _AGAIN) from error
     if not isinstance(document, dict):
-        raise InputError(name, "content", f"holds a {type(document).__name__}, not an object", "is it the right file?")
+        raise InputError(name, "content", f"holds {json_kind(document)}, not an object", "is it the right file?")
     return document
 
 
 def integers(value: Any, name: str, field: str, minimum: int = 0) -> NDArray[np.int64]:
     """A JSON list of integers as an array, shape (n,)."""
     if not isinstance(value, list):
-        raise InputError(name, field, f"must be a list of integers, is {_kind(value)}", "is it the right file?")
+        raise InputError(name, field, f"must be a list of integers, is {json_kind(value)}", "is it the right file?")
     if not value:
         return np.zeros(0, dtype=np.int64)
     if set(map(type, value)) != {int}:  # NumPy would make an array of words of them, each as long as the longest
@@ -129,5 +129,12 @@ def first_line(path: Path, root: Path) -> str | None:
     return lines[0].strip()[:200] if lines else None
 
 
-def _kind(value: Any) -> str:
-    return "missing" if value is None else f"a {type(value).__name__}"
+def json_kind(value: Any) -> str:
+    """Name of the kind of a JSON value, with its article."""
+    if value is None:
+        return "null"
+    return next(name for kind, name in _KINDS.items() if isinstance(value, kind))
+
+
+_KINDS = {bool: "a truth value", str: "a text", list: "a list", dict: "an object", object: "a number"}
+"""Kinds of JSON values by type; numbers are what is left."""

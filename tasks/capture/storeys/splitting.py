@@ -53,8 +53,7 @@ class Divided:
     @property
     def to_original(self) -> Array:
         """What brings the scans of storeys, as they are read, back to the coordinates of the scan's file, 4x4."""
-        change = self.reading.from_file
-        return np.eye(4) if change is None else np.asarray(np.linalg.inv(change), dtype=np.float64)
+        return self.reading.to_original
 
 
 def divided(scan: Scan, config: CaptureConfig) -> Divided:

@@ -203,6 +203,7 @@ def _scene(
     return Scene(
         scene_id=drawn.scene_id, room_id=drawn.scene_id if base is None else base.scene.room_id, dataset=dataset,
         scan=drawn.scene_id.partition("/")[2], scan_format=SYNTHESIS, scan_path="", alignment=flat(np.eye(4)), alignment_source="identity",
+        to_original=flat(np.eye(4)),
         floor_tilt_radians=None, mesh_blob=blobs.add(dump_glb([mesh.to_trimesh()], ["scan"]), "glb"), vertex_count=len(mesh.vertices),
         face_count=len(mesh.faces), frame_count=0, instance_count=len(instances), segmentation="objects", license=drawn.license,
     )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from schemas.optimization import Placement
 from tasks.capture.labels import label_map
 from tasks.geometry.meshes import surface_of
 from tasks.ingestion.metascenes import instance_ids
+from tasks.ingestion.models import ENDINGS
 from tasks.ingestion.scene import scaled_pose
 from tasks.replica import Phase, placed_parts
 from tests.flows.inputs.metascenes_release import FLOOR, HEIGHT, Truth, write_release
@@ -121,6 +123,77 @@ def test_without_names_every_category_is_unlabeled_and_the_run_says_so(tmp_path:
     (one,) = import_dataset(lake, "metascenes", tmp_path / "release", "other", labels=names).scenes
     assert one.action == "import", "names are part of what a scene follows from"
     assert {row.category for row in lake.snapshot().rows(Instance)} == {"box"}
+
+
+MIRRORED = np.diag([1.0, -1.0, 1.0, 1.0])
+SHEARED = np.array([[1.0, 0.6, 0, 1], [0, 1, 0, 2], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("value", "note"),
+    [
+        (SHEARED.tolist(), "shears the object"),
+        ([[1, 2], [3, 4]], r"has shape \(2, 2\)"),
+        (["a"] * 16, "is no matrix of numbers"),
+        (None, "has no matrix"),
+        ({"label": "mug"}, "has no matrix"),
+        ([[1e9] * 4] * 4, "is no 4x4 matrix of finite numbers"),
+        (np.diag([0.0, 1, 1, 1]).tolist(), "to nothing"),
+    ],
+)
+def test_an_object_with_a_matrix_of_no_use_stays_where_people_put_it(value, note: str, tmp_path: Path) -> None:
+    truths = write_release(tmp_path / "release", {SCANS[0]: furnished()[3:5]})[SCANS[0]]
+    file = tmp_path / "release" / "Physical_simu" / f"{SCANS[0]}.json"
+    matrices = json.loads(file.read_text())["matrix"]
+    file.write_text(json.dumps({"matrix": {**matrices, truths[0].name: value}}))
+    lake = Lake.open(tmp_path / "lake")
+    (one,) = import_dataset(lake, "metascenes", tmp_path / "release", "other").scenes
+    assert one.error is None
+    rows = {row.instance_id: row for row in lake.snapshot().rows(Placement)}
+    names = {row.source_id: row.instance_id for row in lake.snapshot().rows(Instance)}
+    assert apart(vertices(lake, rows[names[truths[0].name]], "optimized"), truths[0].annotated) < 1e-4
+    assert truths[1].simulated is not None
+    assert apart(vertices(lake, rows[names[truths[1].name]], "optimized"), truths[1].simulated) < 1e-4
+    (told,) = (line for line in one.notes if "stays where people put it" in line)
+    assert re.search(rf"^Physical_simu/{SCANS[0]}\.json: matrix\.{truths[0].name}: .*{note}", told)
+
+
+def test_a_matrix_that_mirrors_an_object_mirrors_its_mesh(tmp_path: Path) -> None:
+    truths = write_release(tmp_path / "release", {SCANS[0]: furnished()[:2]})[SCANS[0]]
+    file = tmp_path / "release" / "Physical_simu" / f"{SCANS[0]}.json"
+    matrices = json.loads(file.read_text())["matrix"]
+    matrix = np.array(matrices[truths[0].name]) @ MIRRORED
+    file.write_text(json.dumps({"matrix": {**matrices, truths[0].name: matrix.tolist()}}))
+    lake = Lake.open(tmp_path / "lake")
+    (one,) = import_dataset(lake, "metascenes", tmp_path / "release", "other").scenes
+    assert one.error is None
+    names = {row.source_id: row.instance_id for row in lake.snapshot().rows(Instance)}
+    (row,) = (row for row in lake.snapshot().rows(Placement) if row.instance_id == names[truths[0].name])
+    center = (truths[0].annotated.min(axis=0) + truths[0].annotated.max(axis=0)) / 2
+    expected = (truths[0].annotated - center) @ matrix[:3, :3].T + matrix[:3, 3]
+    assert apart(vertices(lake, row, "optimized"), expected) < 1e-4
+    assert surface_of(placed_parts(row, lake.blobs[f"{row.asset_id}.glb"], "optimized")).to_trimesh().volume > 0
+    assert any("its mesh is mirrored" in line for line in one.notes)
+
+
+def test_an_object_whose_mesh_is_broken_is_left_out(tmp_path: Path) -> None:
+    truths = write_release(tmp_path / "release", {SCANS[0]: furnished()[:3]})[SCANS[0]]
+    folders = [tmp_path / "release" / "Annotation_scenes" / SCANS[0] / truth.name for truth in truths]
+    meshes = [next(path for path in folder.iterdir() if path.suffix in ENDINGS) for folder in folders]
+    meshes[0].write_bytes(b"glTF")
+    meshes[1].unlink()
+    meshes[1].symlink_to("/etc/hostname")
+    names = tmp_path / "release" / "instance_id_to_name" / f"{SCANS[0]}.json"
+    names.write_text(json.dumps({**json.loads(names.read_text()), truths[2].name: None}))
+    lake = Lake.open(tmp_path / "lake")
+    (one,) = import_dataset(lake, "metascenes", tmp_path / "release", "other").scenes
+    assert one.error is None
+    assert {row.source_id for row in lake.snapshot().rows(Instance)} == {truths[2].name}
+    for told in (f"{meshes[0].parent.name}/{meshes[0].name}: ", "leads out of the dataset's folder: left out", "is null, not a name"):
+        assert sum(told in line for line in one.notes) == 1, told
+    meshes[2].write_bytes(b"glTF")
+    (one,) = import_dataset(lake, "metascenes", tmp_path / "release", "other").scenes
+    assert one.error is not None
 
 
 def test_a_layout_elsewhere_is_passed_over_for_one_around_the_objects(tmp_path: Path) -> None:

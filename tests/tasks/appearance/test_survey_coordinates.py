@@ -7,17 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 from schemas.errors import InputError
+from tasks.capture import CaptureConfig, run
 from tasks.capture.bare_mesh import read_mesh
 from tasks.capture.files.ply import check_vertices
 from tasks.capture.glb import read_glb_scene
 from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan
 from tasks.containers import close_glb, open_glb
-from tasks.geometry.meshes import dump_glb
+from tasks.geometry.meshes import dump_glb, load_glb, surface_of
+from tasks.geometry.transforms import matrix
 from tasks.library.format import ReadModel
 from tasks.library.formats import check_model
+from tasks.stage import Context
 
 UTM = np.array([441547.5, 345.0, 5121946.5])
 """Easting, height and northing [m]."""
@@ -62,6 +66,20 @@ def test_a_survey_is_centered_and_its_offset_is_kept(tmp_path: Path, kind: str) 
     assert np.allclose(found.min(axis=0), (BOX.vertices + UTM).min(axis=0), atol=1e-5)
     assert np.allclose(found.max(axis=0), (BOX.vertices + UTM).max(axis=0), atol=1e-5)
     assert sum("coordinates of a survey were moved" in note for note in reading.degradations) == 1
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply_double"])
+def test_the_lake_leads_back_to_coordinates_of_the_survey(tmp_path: Path, kind: str) -> None:
+    scan = write_scan(tmp_path / "a", kind, UTM)
+    outcome = run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig())
+    (scene,) = outcome.rows["scenes"]
+    world = surface_of(load_glb(outcome.blobs[scene.mesh_blob])).vertices
+    assert np.abs(world).max() < 10
+    back = matrix(scene.to_original)
+    found = world @ back[:3, :3].T + back[:3, 3]
+    truth = BOX.vertices + UTM
+    assert len(found) == len(truth)
+    assert cKDTree(truth).query(found)[0].max() < 1e-4
 
 
 def test_a_mesh_near_its_origin_stays(tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def furnished(
         ))  # fmt: skip
     scene = Scene(
         scene_id=SCENE, room_id="demo/room", dataset="demo", scan="room_00", scan_format="scannet", scan_path="room_00",
-        alignment=flat(np.eye(4)), alignment_source="file",
+        alignment=flat(np.eye(4)), alignment_source="file", to_original=flat(np.eye(4)),
         floor_tilt_radians=0.0, mesh_blob="0" * 64 + ".glb", vertex_count=3, face_count=1, frame_count=0,
         instance_count=len(instances), segmentation="file", license=None,
     )  # fmt: skip

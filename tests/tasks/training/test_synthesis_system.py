@@ -39,7 +39,8 @@ def training(name: str, **changes) -> SynthesisTraining:
 def scene(scene_id: str, license_: str) -> Scene:
     return Scene(
         scene_id=scene_id, room_id=scene_id, dataset="test", scan="x", scan_format="scannet", scan_path="x",
-        alignment=tuple(np.eye(4).ravel()), alignment_source="identity", floor_tilt_radians=None, mesh_blob="0" * 64 + ".glb",
+        alignment=tuple(np.eye(4).ravel()), alignment_source="identity", to_original=tuple(np.eye(4).ravel()),
+        floor_tilt_radians=None, mesh_blob="0" * 64 + ".glb",
         vertex_count=3, face_count=1, frame_count=0, instance_count=4, segmentation="file", license=license_,
     )  # fmt: skip
 

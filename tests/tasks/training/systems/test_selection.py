@@ -106,6 +106,7 @@ def _scene() -> Scene:
         scan_path="x",
         alignment=tuple(np.eye(4).ravel()),
         alignment_source="identity",
+        to_original=tuple(np.eye(4).ravel()),
         floor_tilt_radians=None,
         mesh_blob="0" * 64 + ".glb",
         vertex_count=3,
