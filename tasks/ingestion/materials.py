@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from schemas.budget import BUDGET
@@ -93,10 +93,12 @@ def read_materials(data: bytes, path: Path, root: Path) -> Materials:
             files, images = alone, {"image_0": alone[0]}
             used = dict.fromkeys(match[1].strip() for match in re.finditer(rb"(?im)^[ \t]*usemtl[ \t]+([^\r\n]+)", data))
             lines = [f"newmtl {name.decode('utf-8', 'replace')}\nKd 1 1 1\nmap_Kd image_0" for name in used]
+    see_through: list[str] = []
     for library in libraries:
         files.append(library)
         for name, statements in _blocks(decoded(read_file(library, library.name, BUDGET.text_bytes))):
             color = _color(statements.get("kd", ""))
+            see_through += [name] if _is_see_through(statements) else []
             shown: tuple[MapLine, Path] | None = None
             for keyword in sorted(filter(_MAP.fullmatch, statements), key=_rank):
                 line = map_line(statements[keyword])
@@ -116,6 +118,8 @@ def read_materials(data: bytes, path: Path, root: Path) -> Materials:
                 lines.append(f"map_Kd {alias}")
                 if (shown[0].scale, shown[0].offset) != ((1.0, 1.0), (0.0, 0.0)):
                     moved[name] = shown[0]
+    if see_through:
+        notes.append(f"materials that let light through are read as solid: {', '.join(see_through)}"[:200])
     text = "\n".join(lines).encode("utf-8", "replace") + b"\n"
     return Materials(text, images, moved, tuple(dict.fromkeys(files)), tuple(outside), tuple(dict.fromkeys(notes)))
 
@@ -174,6 +178,19 @@ def _color(rest: str) -> tuple[float, float, float] | None:
         return None
     red, green, blue = (min(max(value, 0.0), 1.0) for value in (values if len(values) == 3 else values * 3))
     return red, green, blue
+
+
+def _is_see_through(statements: Mapping[str, str]) -> bool:
+    """True if a material states an opacity (`d`) below one, a transparency (`Tr`) above none, or an image of either."""
+    opacity, transparency = (_last_number(statements.get(keyword, "")) for keyword in ("d", "tr"))
+    # Exporters write `Tr 1` and `d 1` of one solid material.
+    is_open = opacity is not None and opacity < 1.0
+    return "map_d" in statements or is_open or (opacity is None and transparency is not None and 0.0 < transparency < 1.0)
+
+
+def _last_number(rest: str) -> float | None:
+    words = rest.split()
+    return _number(words[-1]) if words else None
 
 
 def _rank(keyword: str) -> int:

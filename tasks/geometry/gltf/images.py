@@ -120,9 +120,9 @@ class Images:
                         raise ValueError(f"has {image.size[0] * image.size[1]} pixels, more than {BUDGET.pixels}")
                     mode = "RGBA" if "A" in image.getbands() or "transparency" in image.info else "RGB"
                     return _png(np.asarray(image.convert(mode)))
-        except Exception as error:  # the decoder raises whatever the bytes lead it to
+        except Exception:  # the decoder raises whatever the bytes lead it to
             kind = self._images[index].get("mimeType", "of no stated type")
-            self._note(f"image {index} ({kind!s:.40}) cannot be decoded ({type(error).__name__}): drawn without it")
+            self._note(f"image {index} ({kind!s:.40}) cannot be decoded: drawn without it")
             return None
 
     def size(self, index: int) -> tuple[int, int]:

@@ -54,6 +54,21 @@ def look_of(prim: Any) -> BaseColor:
     return BaseColor()
 
 
+def is_see_through(prim: Any) -> bool:
+    """True if the preview surface that is bound to a prim, or its display opacity, lets light through."""
+    from pxr import UsdGeom, UsdShade
+
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayOpacity")
+    shown = numbers(primvar.ComputeFlattened(), np.float64, 1) if primvar and primvar.HasValue() else np.ones((1, 1))
+    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    shader = material.ComputeSurfaceSource()[0] if material else None
+    given = shader.GetInput("opacity") if shader else None
+    if not given:
+        return bool((shown < 1.0).any())
+    value = numbers(first(given.GetAttr()), np.float64, 1)
+    return given.HasConnectedSource() or bool((value < 1.0).any())
+
+
 def _input(shader: Any, name: str) -> BaseColor:
     """A color input: its value, or the image and scale of a texture reader behind it."""
     from pxr import UsdShade

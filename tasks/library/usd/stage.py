@@ -16,7 +16,7 @@ from schemas.errors import InputError
 from schemas.files import is_there, read_file, stays_in
 from tasks.geometry.colors import bytes_of_linear, display_of
 from tasks.library.format import MOST_FACES
-from tasks.library.usd.looks import display_colors, look_of, uv_of
+from tasks.library.usd.looks import display_colors, is_see_through, look_of, uv_of
 from tasks.library.usd.shapes import polygons_of, subsets
 from tasks.unpacking import image_pixels
 
@@ -53,12 +53,14 @@ class Flattened:
         self._places = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         self._plain: list[tuple[Array, Integers, NDArray[np.uint8]]] = []
         self._textured: dict[tuple[Path, tuple[float, ...], bool], list[tuple[Array, Integers, Array]]] = {}
-        self._faces = self._prims = 0
+        self._faces = self._prims = self._see_through = 0
         # Count first: geometry takes longer than a refusal.
         prims = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
         if next(itertools.islice(prims, BUDGET.nodes, None), None):
             raise InputError(self._name, "prims", f"are more than {BUDGET.nodes}", "join the meshes, or split the file")
         self._add(stage.GetPseudoRoot(), np.eye(4)[None], np.eye(4))
+        if self._see_through:
+            self.notes.append(f"meshes that let light through are read as solid: {self._see_through}")
 
     def parts(self) -> list[trimesh.Trimesh]:
         """One part of all that has colors alone, and one for every texture.
@@ -169,6 +171,8 @@ class Flattened:
             return
         for bound, chosen in subsets(prim, shape):
             color, file, is_linear = look_of(bound)
+            if is_see_through(bound):
+                self._see_through += 1
             vertices, faces = shape.points[shape.point_of], shape.triangles[chosen]
             uv = uv_of(prim, shape) if file is not None else None
             if file is not None and uv is not None and self._is_usable(file):

@@ -158,3 +158,22 @@ def test_a_library_that_leads_out_is_refused(tmp_path: Path) -> None:
     path = write_obj(tmp_path / "library", "Kd 1 0 0", library="mtllib ../secret.mtl")
     with pytest.raises(InputError, match="outside"):
         read_model(path, path.parent, is_z_up=True)
+
+
+@pytest.mark.parametrize(
+    ("material", "is_told"),
+    [
+        ("Kd 1 1 1", False),
+        ("Kd 1 1 1\nd 1\nTr 1", False),
+        ("Kd 1 1 1\nTr 0", False),
+        ("Kd 1 1 1\nd 1.0", False),
+        ("Kd 1 1 1\nd 0.3", True),
+        ("Kd 1 1 1\nd -halo 0.3", True),
+        ("Kd 1 1 1\nTr 0.7", True),
+        ("map_Kd wood.png\nmap_d wood.png", True),
+    ],
+)
+def test_materials_that_let_light_through_are_told_of(tmp_path: Path, material: str, is_told: bool) -> None:
+    _, notes = color_of(write_obj(tmp_path, material), tmp_path)
+    told = [note.partition("/")[2] for note in notes if "light" in note]
+    assert told == ["box.obj: materials that let light through are read as solid: m"] * is_told

@@ -203,6 +203,21 @@ def test_materials_of_usd_show_their_colors(tmp_path: Path, inputs: str, image: 
     np.testing.assert_allclose(vertex_colors(part), np.tile(expected, (3, 1)), atol=1)
 
 
+@pytest.mark.parametrize(
+    ("inputs", "is_told"),
+    [
+        ("float inputs:opacity = 1", False),
+        ("float inputs:opacity = 0.4", True),
+        ("float inputs:opacity.connect = </look/image.outputs:a>", True),
+        ("color3f inputs:diffuseColor = (1, 0, 0)", False),
+    ],
+)
+def test_meshes_of_usd_that_let_light_through_are_told_of(tmp_path: Path, inputs: str, is_told: bool) -> None:
+    Image.new("RGBA", (4, 4), (200, 180, 220, 90)).save(tmp_path / "image.png")
+    path = write_layer(tmp_path / "look.usda", LOOK % (inputs, "float outputs:a"))
+    assert Flattened(path, tmp_path).notes == ["meshes that let light through are read as solid: 1"] * is_told
+
+
 def write_layer(path: Path, text: str) -> Path:
     path.write_text(f"#usda 1.0\n{text}\n")
     return path
