@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from logging import WARNING
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from flows.pipeline import replicate
 scans, lake, *settings = sys.argv[1:]
 with tags("metascenes"):
     state = replicate(scans, lake, workers=1, settings=settings, return_state=True)
+print("run:", state.state_details.flow_run_id)
 print("state:", state.type.value, state.name, state.message)
 """
 
@@ -50,26 +52,33 @@ def test_a_refused_scan_is_told_of_once_and_forgotten_when_it_is_repaired(deploy
     lake = Lake.open(tmp_path / "lake")
 
     def night() -> tuple[str, list[str]]:
-        """How a night ended, and the lines of its log that name the scan."""
-        done = deployed.run([sys.executable, "-c", NIGHT, str(scans), lake.address, *SETTINGS], PREFECT_LOGGING_LEVEL="WARNING")
+        """How a night ended, and the warnings of its log, which the server keeps."""
+        done = deployed.run([sys.executable, "-c", NIGHT, str(scans), lake.address, *SETTINGS])
         assert done.returncode == 0, done.stderr
-        state = next(line for line in done.stdout.splitlines() if line.startswith("state:"))
-        warned = [line for line in done.stderr.splitlines() if "kitchen: folder: holds no scan" in line and "WARNING" in line]
-        return state.removeprefix("state: "), warned
+        said = dict(line.split(": ", 1) for line in done.stdout.splitlines() if line.startswith(("run: ", "state: ")))
+        logs = eventually(lambda: log_of(said["run"]), "the log of a run")
+        return said["state"], [line["message"] for line in logs if line["level"] >= WARNING]
+
+    def log_of(run: str) -> list[dict[str, Any]]:
+        """The log of a run, once its last line has arrived."""
+        asked = {"logs": {"flow_run_id": {"any_": [run]}}, "limit": 200}
+        lines: list[dict[str, Any]] = deployed.ask("logs/filter", asked).raise_for_status().json()
+        return lines if any("Finished in state" in line["message"] for line in lines) else []
 
     def told() -> list[dict[str, Any]]:
         return [call for _, call in Hook.taken if "kitchen" in call["text"]]
 
     state, warned = night()
     assert state.startswith("FAILED Failed 2 scenes done, 0 up to date, 1 scan refused: kitchen: folder: holds no scan"), state
-    assert len(warned) == 1
+    (line,) = warned
+    assert line.startswith("kitchen: folder: holds no scan")
     (row,) = lake.snapshot().rows(RefusedScan)
     assert (row.scans, row.path, row.format) == (str(scans.resolve()), "kitchen", "replica_v1")
     eventually(told, "a call of the webhook")
 
     state, warned = night()
     assert state.startswith("FAILED Failed as before: 0 scenes done, 2 up to date, 1 scan refused: kitchen: folder"), state
-    assert len(warned) == 1
+    assert warned == [line]
     (again,) = lake.snapshot().rows(RefusedScan)
     assert again.first_seen_at == row.first_seen_at < again.last_seen_at
 
