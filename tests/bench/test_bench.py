@@ -398,7 +398,7 @@ def test_moves_alone_are_timed_without_rooms() -> None:
 def test_an_unknown_method_and_a_missing_lake_are_refused_in_one_line(tmp_path: Any) -> None:
     done = metascenes({**os.environ}, "bench", "optimization", "--methods", "magic")
     assert done.returncode == 2
-    assert "'magic' is none of paper, default" in done.stderr
+    assert "'magic' is none of paper, released, default" in done.stderr
     done = metascenes({**os.environ}, "bench", "optimization", "--lake", tmp_path / "none")
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1

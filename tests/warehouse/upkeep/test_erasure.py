@@ -28,6 +28,7 @@ from flows.cli import cli
 from flows.scans.erasure import erase_from_caches, search_temporary
 from flows.scans.mirror import facts_of
 from schemas.errors import InputError
+from schemas.machine.scratch import temporary_folder
 from schemas.runs import Snapshot, StageRun
 from schemas.tables import TABLES
 from tasks.pipeline import SCENE_STAGES
@@ -447,7 +448,9 @@ def test_the_machines_caches_forget(tmp_path: Path) -> None:
 def kept(lake: Lake) -> list[Any]:
     """The snapshots that are there, by what they say, and the releases."""
     rows = [(row.snapshot_id, row.note, seen(lake, row.snapshot_id)) for row in lake.snapshot().snapshots]
-    return [rows, [(release.name, release.snapshot_id, release.notes, len(release.erased_at)) for release in releases(lake)]]
+    # v2 is made between two attempts: of a killed one it tells, by the notes of v1, and is written again.
+    erased = {release.name: len(release.erased_at) for release in releases(lake) if release.name != "v2"}
+    return [rows, [(release.name, release.snapshot_id, release.notes, erased.get(release.name)) for release in releases(lake)]]
 
 
 @pytest.mark.parametrize(
@@ -598,17 +601,17 @@ def test_damaged_records_of_caches_stop_no_erasure(tmp_path: Path, damage: str) 
 
 
 def test_temporary_folders_that_tell_of_the_scene_are_found_and_dead_ones_go(lake: Lake, own_machine: Path) -> None:
-    places = own_machine / "tmp" / "metascenes"
-    dead, living, strange = places / f"{this_writer().machine}-999999-1-1", places / new_token(), own_machine / "tmp" / "other"
-    for place in (dead, living, strange):
-        place.mkdir(parents=True)
-        (place / "mesh.txt").write_text(f"of {HOME}")
+    places = own_machine / "tmp"
     command = ["lake", "erase", HOME, "--yes", "--lake", lake.address, "--json"]
-    answer = CliRunner().invoke(cli, command)
-    assert answer.exit_code == 1
-    assert [hit["path"] for hit in json.loads(answer.output)["proof"]["hits"]] == [str(living / "mesh.txt")]
-    assert [place.exists() for place in (dead, living, strange)] == [False, True, True], "folders of others are not looked at"
-    shutil.rmtree(living)
+    with temporary_folder() as living:
+        dead, strange = places / re.sub(r"-\d+-[0-9a-f]+-\w+$", "-999999-1-x", living.name), places / "other"
+        for place in (dead, living, strange):
+            place.mkdir(exist_ok=True)
+            (place / "mesh.txt").write_text(f"of {HOME}")
+        answer = CliRunner().invoke(cli, command)
+        assert answer.exit_code == 1
+        assert [hit["path"] for hit in json.loads(answer.output)["proof"]["hits"]] == [str(living / "mesh.txt")]
+        assert [place.exists() for place in (dead, living, strange)] == [False, True, True], "folders of others are not looked at"
     answer = CliRunner().invoke(cli, command)
     assert (answer.exit_code, json.loads(answer.output)["proof"]["hits"]) == (0, [])
 
