@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from PIL import Image
 
 from tasks import exports
@@ -401,7 +402,18 @@ def meshes() -> list[Case]:
 
     box = trimesh.creation.box((0.8, 0.6, 0.7))
     surface = Surface(np.asarray(box.vertices), np.asarray(box.faces), np.full((8, 3), 90, np.uint8))
-    return [folder_of(lambda root, kind=kind: written(root, surface, kind)) for kind in KINDS]
+    found = [folder_of(lambda root, kind=kind: written(root, surface, kind)) for kind in KINDS]
+    return [*found, {"room.ply": ply_with_image(surface.vertices, surface.faces), "room.png": _image()}]
+
+
+def ply_with_image(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> bytes:
+    """A text PLY whose comment names the image `room.png`, with texture coordinates of each corner of a face."""
+    head = ["ply", "format ascii 1.0", "comment TextureFile room.png", f"element vertex {len(vertices)}"]
+    head += [f"property float {axis}" for axis in "xyz"]
+    head += [f"element face {len(faces)}", "property list uchar int vertex_indices", "property list uchar float texcoord", "end_header"]
+    rows = [" ".join(map(str, row)) for row in vertices.tolist()]
+    rows += [f"3 {a} {b} {c} 6 0.1 0.2 0.8 0.2 0.5 0.9" for a, b, c in faces.tolist()]
+    return "\n".join([*head, *rows, ""]).encode()
 
 
 def library() -> list[Case]:
