@@ -15,6 +15,8 @@ from tasks.capture.bare_mesh import BARE_MESH
 from tasks.capture.bare_mesh import SUFFIXES as SCANNED
 from tasks.capture.glb import GLB
 from tasks.capture.scan import Scan, ScanFormat
+from tasks.exports.format import ExportFormat
+from tasks.exports.formats import FORMATS as EXPORTS
 from tasks.geometry.colors import linear_of
 from tasks.geometry.meshes import Surface, material_of, surface_of
 from tasks.geometry.transforms import Z_UP_TO_Y_UP
@@ -100,6 +102,17 @@ def _import(path: Path, root: Path) -> tuple[Sequence[Part], Sequence[str]]:
     return parts_of(parts, Z_UP_TO_Y_UP), notes
 
 
+def _doctor(format_: ExportFormat) -> Callable[[Path, Path], Outcome]:
+    """The first error of a gate as the reason, warnings as notes; its file is not measured."""
+
+    def outcome(path: Path, root: Path) -> Outcome:
+        findings = format_.check(path)
+        errors = [str(finding) for finding in findings if finding.is_error]
+        return Outcome(None, errors[0] if errors else "", tuple(str(finding) for finding in findings if not finding.is_error))
+
+    return outcome
+
+
 READERS = (
     Reader("scan", SCANNED, _guarded(_scan(BARE_MESH))),
     Reader("scan of objects", GLB.suffixes, _guarded(_scan(GLB))),
@@ -107,3 +120,11 @@ READERS = (
     Reader("import", models.ENDINGS, _guarded(_import)),
 )
 """Readers whose geometry is compared."""
+
+DOCTORS = tuple(
+    Reader(f"doctor {kind.name}", endings, _doctor(kind))
+    for kind in EXPORTS
+    for endings in [{"glb": (".glb",), "usd": (".usd", ".usda", ".usdc", ".usdz")}.get(kind.name, ())]
+    if endings
+)
+"""Gates that look at files of others without measuring them."""

@@ -13,7 +13,7 @@ from urllib.parse import quote, unquote, urlsplit
 
 import numpy as np
 
-from bench.files.judges import Verdict
+from bench.files.judges import PATIENCE_SECONDS, Verdict
 from bench.files.measure import Part, measure
 from bench.viewer import BROWSERS, browser_without_gpu
 from schemas.files import stays_in
@@ -49,6 +49,7 @@ def threejs(corpus: Path) -> Iterator[Callable[[Path], Verdict]]:
 
     with browser_without_gpu() as browser:
         page = browser.new_page()
+        page.set_default_timeout(1000 * PATIENCE_SECONDS)
         page.route("**/*", answer)
         page.goto(HOME)
         page.wait_for_selector("html[data-ready=yes]", state="attached")
