@@ -196,6 +196,10 @@ def _broken_lists(document: Document) -> Iterator[tuple[str, str]]:
     for field, value in holders:
         if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
             yield field, "is not a list of objects"
+    for key in _LISTS:
+        for index, entry in enumerate(entries(document, key)):
+            if not isinstance(entry.get("name"), str | None):
+                yield f"{key} {index}", f"has the name {entry['name']!r:.20}, which is not a text"
     nodes = entries(document, "nodes")
     number = document.get("scene", 0)
     if type(number) is not int or number < 0:
@@ -204,13 +208,12 @@ def _broken_lists(document: Document) -> Iterator[tuple[str, str]]:
     named = [(f"node {index}: children", value) for index, value in enumerate(children)]
     named += [(f"scene {index}: nodes", scene.get("nodes", [])) for index, scene in enumerate(entries(document, "scenes"))]
     for field, value in named:
-        wrong = (
-            next((entry for entry in value if type(entry) is not int or not 0 <= entry < len(nodes)), None)
-            if isinstance(value, list)
-            else value
-        )
-        if wrong is not None:
-            yield field, f"names node {wrong!r:.20} of {len(nodes)}"
+        if not isinstance(value, list):
+            yield field, "is not a list of nodes"
+            return
+        wrong = [entry for entry in value if type(entry) is not int or not 0 <= entry < len(nodes)]
+        if wrong:
+            yield field, f"names node {wrong[0]!r:.20} of {len(nodes)}"
             return
     # A tree loses a leaf at a time; what is left then lies on a circle, or above one.
     parents: dict[int, list[int]] = {}
