@@ -56,7 +56,9 @@ def _assimp_parts(document: Any) -> Iterator[Part]:
             mesh = document["meshes"][number]
             points = np.array(mesh["vertices"], dtype=np.float64).reshape(-1, 3)
             fans = [(face[0], face[i], face[i + 1]) for face in mesh.get("faces", []) for i in range(1, len(face) - 1)]
-            yield Part(points @ pose[:3, :3].T + pose[:3, 3], np.array(fans, dtype=np.int64).reshape(-1, 3))
+            with np.errstate(invalid="ignore"):  # what is not finite is told by its measure
+                placed = points @ pose[:3, :3].T + pose[:3, 3]
+            yield Part(placed, np.array(fans, dtype=np.int64).reshape(-1, 3))
 
 
 def by_usd(path: Path) -> Verdict:
