@@ -42,8 +42,10 @@ def threejs(corpus: Path) -> Iterator[Callable[[Path], Verdict]]:
         path = unquote(urlsplit(route.request.url).path).removeprefix("/")
         kind, _, rest = path.partition("/")
         root = {"three": PACKAGES, "corpus": corpus}.get(kind)
-        file = Path(__file__).with_name("judge.html") if not path else root / rest if root else None
-        is_there = file is not None and (not path or stays_in(file, root)) and file.is_file()
+        file = Path(__file__).with_name("judge.html") if not path else None
+        if root is not None and stays_in(root / rest, root):
+            file = root / rest
+        is_there = file is not None and file.is_file()
         body = file.read_bytes() if file is not None and is_there else b""
         route.fulfill(status=200 if is_there else 404, body=body, content_type=mimetypes.guess_type(path or "judge.html")[0])
 

@@ -56,8 +56,8 @@ def test_only_a_note_on_what_differs_excuses_it(tmp_path: Path) -> None:
     for note, verdict in (("a.obj: wood.png is missing, drawn without it", "noted"), ("a.obj: cameras: are not read", "silent")):
         assert verdict_of(dataclasses.replace(outcome, notes=(note,)), {"judge": judged})[0] == verdict
     smaller = dataclasses.replace(judged, triangles=11)
-    note = ("a.obj: wood.png is missing, drawn without it",)
-    assert verdict_of(dataclasses.replace(outcome, notes=note), {"judge": smaller})[0] == "silent"
+    noted = dataclasses.replace(outcome, notes=("a.obj: wood.png is missing, drawn without it",))
+    assert verdict_of(noted, {"judge": smaller})[0] == "silent"
 
 
 def test_one_judge_that_agrees_is_enough_and_none_is_not(tmp_path: Path) -> None:

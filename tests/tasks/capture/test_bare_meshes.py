@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -262,12 +263,12 @@ def test_a_node_without_bars_is_no_part_of_a_model_of_its_name(tmp_path: Path) -
 @pytest.mark.parametrize("depth", [0.05, 0.1, 0.3])
 def test_a_drawn_room_is_aligned_by_its_walls(angle: float, depth: float) -> None:
     """Corners of thick walls line up at a slant: over 5 m, walls of 10 cm are as long from one face to the other at 2.3 degrees."""
-    walls = [((5.0, depth, 2.6), (0, side * (2 + depth / 2), 1.3)) for side in (-1, 1)]
-    walls += [((depth, 4.0, 2.6), (side * (2.5 + depth / 2), 0, 1.3)) for side in (-1, 1)]
+    walls = [((5.0, depth, 2.6), (0.0, side * (2 + depth / 2), 1.3)) for side in (-1, 1)]
+    walls += [((depth, 4.0, 2.6), (side * (2.5 + depth / 2), 0.0, 1.3)) for side in (-1, 1)]
     boxes = [trimesh.creation.box(extents, translation(center)) for extents, center in walls]
-    mesh = trimesh.util.concatenate(boxes)
+    mesh: Any = trimesh.util.concatenate(boxes)
     mesh.apply_transform(yaw_pose(np.deg2rad(angle)))
-    surface = Surface(np.array(mesh.vertices), np.array(mesh.faces), np.zeros((len(mesh.vertices), 3), np.uint8))
+    surface = Surface(np.array(mesh.vertices), np.array(mesh.faces), np.zeros(mesh.vertices.shape, np.uint8))
     made = align(surface, wall_faces=np.ones(len(surface.faces), bool), is_authored=True)
     yaw = np.rad2deg(np.arctan2(made.pose[1, 0], made.pose[0, 0]))
     assert (yaw + angle + 45) % 90 - 45 == pytest.approx(0.0, abs=0.05)
@@ -280,5 +281,6 @@ def test_a_closed_body_stands_as_its_file_has_it(tmp_path: Path) -> None:
     path = written(tmp_path / "chair.glb", [("chair_1", *box) for box in (seat, back, *legs)], [f"part_{n}" for n in range(6)])
     (scan,), _ = find_scans(path)
     reading = BARE_MESH.read(dataclasses.replace(scan, format="bare_mesh"))
+    assert reading.surface is not None
     assert np.ptp(reading.surface.vertices, axis=0) == pytest.approx([0.45, 0.47, 0.92], abs=0.05)
     assert any("y is taken to be up, as glTF has it" in note for note in reading.degradations)
