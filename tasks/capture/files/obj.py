@@ -16,8 +16,8 @@ from tasks.capture.files.documents import read_bytes
 from tasks.capture.files.ply import check_vertices
 from tasks.capture.files.ply_elements import GRAY, as_bytes
 from tasks.capture.files.ply_header import AGAIN
+from tasks.capture.files.polygons import triangulate
 from tasks.geometry.meshes import Surface, sample_texture
-from tasks.geometry.polygons import triangulate
 
 MAX_CORNERS = 4096
 """Most corners of a face: clipping the ears of an outline takes a time that grows with their square."""

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.files.ply_header import PlyElement
+from tasks.capture.files.polygons import triangulate
 from tasks.geometry.meshes import sample_texture
-from tasks.geometry.polygons import triangulate
 
 GRAY = 180
 """Gray level of vertices without a color."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.geometry.polygons import triangulate
+from tasks.capture.files.polygons import triangulate
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tasks.geometry.polygons import triangulate
+from tasks.capture.files.polygons import triangulate
 from tasks.geometry.triangles import face_areas
 from tasks.library.formats import read_model
 
