@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bench.files.judges import Verdict
-from bench.files.measure import Measure
-from bench.files.readers import Outcome
+from bench.files.measure import ModelMeasure
+from bench.files.readers import FileReading
 
 MAX_SHIFT = 1e-4
 """Largest difference between bounds, as a share of the diagonal: single precision and six digits of text stay below it."""
@@ -24,15 +24,15 @@ _NOTED = {
 """Words by which a note names a loss, by aspect."""
 
 
-def difference_of(found: Measure, judged: Measure) -> tuple[str, ...]:
+def difference_of(reading: ModelMeasure, judged: ModelMeasure) -> tuple[str, ...]:
     """Aspects in which two measures differ; colors count if both state one."""
-    different = ["triangles"] if found.triangles != judged.triangles else []
+    different = ["triangles"] if reading.triangles != judged.triangles else []
     limit = MAX_SHIFT * judged.diagonal
-    bounds = zip((*found.low, *found.high), (*judged.low, *judged.high), strict=True)
-    if any(abs(one - other) > limit for one, other in bounds):
+    bounds = zip((*reading.low, *reading.high), (*judged.low, *judged.high), strict=True)
+    if any(abs(a - b) > limit for a, b in bounds):
         different.append("extents")
-    if found.color is not None and judged.color is not None:
-        is_other = any(abs(one - other) > MAX_COLOR_DIFFERENCE for one, other in zip(found.color, judged.color, strict=True))
+    if reading.color is not None and judged.color is not None:
+        is_other = any(abs(a - b) > MAX_COLOR_DIFFERENCE for a, b in zip(reading.color, judged.color, strict=True))
         different += ["color"] if is_other else []
     return tuple(different)
 
@@ -42,7 +42,7 @@ def is_named(aspect: str, notes: tuple[str, ...]) -> bool:
     return any(word in note.lower() for note in notes for word in _NOTED[aspect])
 
 
-def verdict_of(outcome: Outcome, verdicts: Mapping[str, Verdict]) -> tuple[str, str]:
+def verdict_of(outcome: FileReading, verdicts: Mapping[str, Verdict]) -> tuple[str, str]:
     """The verdict on a reader, and its reason.
 
     `agrees` if each aspect is as a judge has it, `refused` and `noted` with the reason, `silent` for every other difference,
@@ -50,11 +50,11 @@ def verdict_of(outcome: Outcome, verdicts: Mapping[str, Verdict]) -> tuple[str, 
     """
     if outcome.measure is None:
         return "refused", outcome.reason
-    found = outcome.measure
-    judged = {name: verdict for name, verdict in verdicts.items() if isinstance(verdict, Measure)}
+    reading = outcome.measure
+    judged = {name: verdict for name, verdict in verdicts.items() if isinstance(verdict, ModelMeasure)}
     if not judged:
         return "unjudged", "; ".join(f"{name} {verdict}" for name, verdict in verdicts.items())
-    differences = {name: difference_of(found, verdict) for name, verdict in judged.items()}
+    differences = {name: difference_of(reading, verdict) for name, verdict in judged.items()}
     if not all(differences.values()):
         return "agrees", "with " + ", ".join(name for name, different in differences.items() if not different)
     # Judges that disagree with each other can be right about one aspect each.
@@ -62,7 +62,7 @@ def verdict_of(outcome: Outcome, verdicts: Mapping[str, Verdict]) -> tuple[str, 
     if not different:
         return "agrees", "with a different judge in each aspect"
     unnamed = [aspect for aspect in different if not is_named(aspect, outcome.notes)]
-    reason = "; ".join(f"{name}: {_shown(verdict)}" for name, verdict in {"read": found, **judged}.items())
+    reason = "; ".join(f"{name}: {_shown(verdict)}" for name, verdict in {"read": reading, **judged}.items())
     if unnamed:
         return "silent", f"{', '.join(unnamed)}: {reason}"
     return "noted", "; ".join(note for note in outcome.notes if any(is_named(aspect, (note,)) for aspect in different))
@@ -70,11 +70,11 @@ def verdict_of(outcome: Outcome, verdicts: Mapping[str, Verdict]) -> tuple[str, 
 
 def judges_differ(verdicts: Mapping[str, Verdict]) -> tuple[str, ...]:
     """Aspects in which judges that read a file disagree."""
-    judged = [verdict for verdict in verdicts.values() if isinstance(verdict, Measure)]
-    found = {aspect for i, one in enumerate(judged) for other in judged[i + 1 :] for aspect in difference_of(one, other)}
-    return tuple(aspect for aspect in ASPECTS if aspect in found)
+    judged = [verdict for verdict in verdicts.values() if isinstance(verdict, ModelMeasure)]
+    aspects = {aspect for i, a in enumerate(judged) for b in judged[i + 1 :] for aspect in difference_of(a, b)}
+    return tuple(aspect for aspect in ASPECTS if aspect in aspects)
 
 
-def _shown(measure: Measure) -> str:
+def _shown(measure: ModelMeasure) -> str:
     color = "no color" if measure.color is None else f"color {tuple(round(value) for value in measure.color)}"
     return f"{measure.triangles} triangles, {measure.diagonal:.6g} across, {color}"

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.files.measure import Measure, Part, measure
+from bench.files.measure import ModelMeasure, ModelPart, measure
 
 ASSIMP = "assimp"
 """The command of Debian's assimp-utils."""
@@ -22,7 +22,7 @@ PATIENCE_SECONDS = 600.0
 
 USD_ENDINGS = (".usd", ".usda", ".usdc", ".usdz")
 
-Verdict = Measure | str
+Verdict = ModelMeasure | str
 """What a judge reads, or the reason that it reads nothing."""
 
 
@@ -39,14 +39,14 @@ def by_assimp(path: Path) -> Verdict:
         try:
             done = subprocess.run(command, capture_output=True, timeout=PATIENCE_SECONDS, check=False)
             if done.returncode or not out.is_file():
-                said = done.stdout.decode(errors="replace").strip().splitlines()
-                return f"refuses it: {said[-1] if said else done.returncode}"[:120]
+                lines = done.stdout.decode(errors="replace").strip().splitlines()
+                return f"refuses it: {lines[-1] if lines else done.returncode}"[:120]
             return measure(list(_assimp_parts(json.loads(out.read_text(errors="replace")))))
         except (ValueError, KeyError, IndexError, TypeError, subprocess.TimeoutExpired) as error:
             return f"reads nothing ({error})"[:120]
 
 
-def _assimp_parts(document: Any) -> Iterator[Part]:
+def _assimp_parts(document: Any) -> Iterator[ModelPart]:
     waiting = [(document["rootnode"], np.eye(4))]
     while waiting:
         node, above = waiting.pop()
@@ -58,7 +58,7 @@ def _assimp_parts(document: Any) -> Iterator[Part]:
             fans = [(face[0], face[i], face[i + 1]) for face in mesh.get("faces", []) for i in range(1, len(face) - 1)]
             with np.errstate(invalid="ignore"):  # what is not finite is told by its measure
                 placed = points @ pose[:3, :3].T + pose[:3, 3]
-            yield Part(placed, np.array(fans, dtype=np.int64).reshape(-1, 3))
+            yield ModelPart(placed, np.array(fans, dtype=np.int64).reshape(-1, 3))
 
 
 def by_usd(path: Path) -> Verdict:
@@ -73,7 +73,7 @@ def by_usd(path: Path) -> Verdict:
         return f"reads nothing ({error})"[:120]
 
 
-def _usd_parts(stage: Any) -> Iterator[Part]:
+def _usd_parts(stage: Any) -> Iterator[ModelPart]:
     from pxr import Usd, UsdGeom
 
     time = Usd.TimeCode.EarliestTime()
@@ -90,4 +90,4 @@ def _usd_parts(stage: Any) -> Iterator[Part]:
         stated = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
         color = np.array(stated.Get(time) or [], dtype=np.float64).reshape(-1, 3) if stated else np.zeros((0, 3))
         faces = corners[np.array(fans, dtype=np.int64).reshape(-1, 3)]
-        yield Part(points @ pose[:3, :3] + pose[3, :3], faces, color[0] if len(color) == 1 else None)
+        yield ModelPart(points @ pose[:3, :3] + pose[3, :3], faces, color[0] if len(color) == 1 else None)

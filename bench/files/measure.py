@@ -26,7 +26,7 @@ MIN_AREA_SHARE = 1e-14
 
 
 @dataclasses.dataclass(frozen=True)
-class Part:
+class ModelPart:
     """Triangles of one look, in the frame and unit of the file.
 
     vertices: shape (n, 3). faces: shape (m, 3). factor: linear color, shape (3,); None for a look that the file does not state.
@@ -44,7 +44,7 @@ class Part:
 
 
 @dataclasses.dataclass(frozen=True)
-class Measure:
+class ModelMeasure:
     """Measures of a model. low, high: bounds in the file's unit. color: mean display value, 0 to 255; None if not all parts state one."""
 
     triangles: int
@@ -58,7 +58,7 @@ class Measure:
         return float(np.linalg.norm(np.subtract(self.high, self.low)))
 
 
-def measure(parts: Sequence[Part]) -> Measure:
+def measure(parts: Sequence[ModelPart]) -> ModelMeasure:
     """Measures of all parts together; triangles without area do not count.
 
     Raises:
@@ -86,14 +86,14 @@ def measure(parts: Sequence[Part]) -> Measure:
         light += areas[is_shown] @ colors
         total += float(areas[is_shown].sum())
     if not shown:
-        return Measure(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None)
+        return ModelMeasure(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None)
     points = np.concatenate(shown).reshape(-1, 3)
     low, high = (tuple(float(value) for value in limit) for limit in (points.min(axis=0), points.max(axis=0)))
     color = tuple(float(value) for value in 255 * display_of(light / total)) if is_colored else None
-    return Measure(len(points) // 3, low, high, color)  # type: ignore[arg-type]
+    return ModelMeasure(len(points) // 3, low, high, color)  # type: ignore[arg-type]
 
 
-def _face_light(part: Part, faces: NDArray[np.int64]) -> Array:
+def _face_light(part: ModelPart, faces: NDArray[np.int64]) -> Array:
     """Mean linear color of faces, shape (m, 3)."""
     assert part.factor is not None
     colors = np.tile(part.factor, (len(faces), 1))

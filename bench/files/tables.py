@@ -25,11 +25,11 @@ def print_files(report: Mapping[str, Any], console: Console) -> None:
     for reader in dict.fromkeys(row["reader"] for row in rows):
         add_row(table, reader, *(str(counts[reader, verdict]) for verdict in VERDICTS))
     console.print(table)
-    others = table_of("verdicts other than agreement", ("file", False), ("reader", False), ("verdict", False), ("reason", False))
+    remarks = table_of("verdicts other than agreement", ("file", False), ("reader", False), ("verdict", False), ("reason", False))
     for row in rows:
         if row["verdict"] != "agrees":
-            add_row(others, row["file"], row["reader"], row["verdict"], row["reason"][:200])
-    console.print(others)
+            add_row(remarks, row["file"], row["reader"], row["verdict"], row["reason"][:200])
+    console.print(remarks)
     differing = table_of("judges that disagree", ("file", False), ("in", False))
     for name, aspects in report["judges_differ"].items():
         add_row(differing, name, ", ".join(aspects))

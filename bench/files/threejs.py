@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote, urlsplit
 import numpy as np
 
 from bench.files.judges import PATIENCE_SECONDS, Verdict
-from bench.files.measure import Part, measure
+from bench.files.measure import ModelPart, measure
 from bench.viewer import BROWSERS, browser_without_gpu
 from schemas.files import stays_in
 
@@ -68,7 +68,7 @@ def threejs(corpus: Path) -> Iterator[Callable[[Path], Verdict]]:
         yield read
 
 
-def _part(values: Any) -> Part:
+def _part(values: Any) -> ModelPart:
     def array(name: str, kind: str, width: int) -> Any:
         return None if values[name] is None else np.frombuffer(base64.b64decode(values[name]), kind).reshape(-1, width)
 
@@ -76,7 +76,7 @@ def _part(values: Any) -> Part:
     if image is not None:
         width, height = values["size"]
         image = image.reshape(height, width, 4)[:, :, :3]
-    return Part(
+    return ModelPart(
         array("positions", "<f8", 3), array("faces", "<u4", 3).astype(np.int64),
         factor=None if values["factor"] is None else np.array(values["factor"], dtype=np.float64),
         colors=array("colors", "<f4", 3), uv=array("uv", "<f4", 2), image=image, wraps=tuple(values["wraps"]),

@@ -44,7 +44,7 @@ class MapLine:
 
 
 @dataclasses.dataclass(frozen=True)
-class Look:
+class ObjMaterial:
     """A material. color: display values, 0 to 1. image: file of its image. scale, offset: of texture coordinates (u, v)."""
 
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -61,7 +61,7 @@ class Materials:
     outside: names that lead out of the dataset's folder. notes: losses, a line each.
     """
 
-    looks: dict[str, Look]
+    looks: dict[str, ObjMaterial]
     files: tuple[Path, ...]
     outside: tuple[str, ...]
     notes: tuple[str, ...]
@@ -81,7 +81,7 @@ def read_materials(data: bytes, path: Path, root: Path) -> Materials:
     outside: list[str] = []
     notes: list[str] = []
     files: list[Path] = []
-    looks: dict[str, Look] = {}
+    looks: dict[str, ObjMaterial] = {}
     libraries = _libraries(data, path.parent, folders, outside, notes)
     if not libraries and notes and not outside:
         alone = [file for ending in IMAGES if (file := folders.find((path.stem + ending,), path.parent, path.parent)) is not None]
@@ -89,7 +89,7 @@ def read_materials(data: bytes, path: Path, root: Path) -> Materials:
             notes.append(f"{alone[0].name} is taken for its image, by its name")
             files = alone
             used = re.finditer(rb"(?im)^[ \t]*usemtl\b([^\r\n]*)", data)
-            looks = {material_name(match[1].split()): Look(image=alone[0]) for match in used}
+            looks = {material_name(match[1].split()): ObjMaterial(image=alone[0]) for match in used}
     for library in libraries:
         files.append(library)
         for name, statements in _blocks(decoded(read_file(library, library.name, BUDGET.text_bytes))):
@@ -106,7 +106,7 @@ def read_materials(data: bytes, path: Path, root: Path) -> Materials:
             if shown is not None and color == (0.0, 0.0, 0.0):
                 notes.append(f"material {name} is black under its image: the image is taken as it is")
                 color = None
-            looks[name] = Look(color or (1.0, 1.0, 1.0))
+            looks[name] = ObjMaterial(color or (1.0, 1.0, 1.0))
             if shown is not None:
                 looks[name] = dataclasses.replace(looks[name], image=shown[1], scale=shown[0].scale, offset=shown[0].offset)
     return Materials(looks, tuple(dict.fromkeys(files)), tuple(outside), tuple(dict.fromkeys(notes)))

@@ -16,7 +16,7 @@ from schemas.files import read_file
 from tasks.capture.files.obj import ObjText, parse_obj
 from tasks.geometry.colors import bytes_of_linear, linear_of
 from tasks.geometry.meshes import check_looks
-from tasks.ingestion.materials import Look, read_materials
+from tasks.ingestion.materials import ObjMaterial, read_materials
 
 if TYPE_CHECKING:
     import trimesh
@@ -57,7 +57,7 @@ def obj_parts(data: bytes, path: Path, root: Path, name: str) -> tuple[list[trim
     return parts, [f"{name}: {note}" for note in notes]
 
 
-def _part(text: ObjText, is_chosen: NDArray[np.bool_], look: Look | None, image: Any, notes: dict[str, None]) -> trimesh.Trimesh:
+def _part(text: ObjText, is_chosen: NDArray[np.bool_], look: ObjMaterial | None, image: Any, notes: dict[str, None]) -> trimesh.Trimesh:
     """The triangles of one material; vertices are split where they have several texture coordinates."""
     import trimesh
 
@@ -69,7 +69,7 @@ def _part(text: ObjText, is_chosen: NDArray[np.bool_], look: Look | None, image:
         corners[:, 1] = -1
     used, faces = np.unique(corners, axis=0, return_inverse=True)
     mesh = trimesh.Trimesh(text.vertices[used[:, 0]], faces.reshape(-1, 3), process=False)
-    factor = np.asarray((look or Look()).color)
+    factor = np.asarray((look or ObjMaterial()).color)
     visual: Any = mesh.visual
     if image is not None and look is not None:
         if text.colors is not None:

@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from bench.files.comparison import judges_differ, verdict_of
-from bench.files.measure import CLAMP, MIRROR, REPEAT, Measure, Part, measure
-from bench.files.readers import READERS, Outcome
+from bench.files.measure import CLAMP, MIRROR, REPEAT, ModelMeasure, ModelPart, measure
+from bench.files.readers import READERS, FileReading
 from bench.files.report import FilesBench, missing_judges, run_files_bench
 from bench.files.tables import print_files
 from flows.commands.bench import command
@@ -27,7 +27,7 @@ FACES = "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
 LIBRARY = next(reader for reader in READERS if reader.name == "library")
 
 
-def read(folder: Path, name: str, text: str) -> Outcome:
+def read(folder: Path, name: str, text: str) -> FileReading:
     (folder / name).write_text(text)
     return LIBRARY.read(folder / name, folder)
 
@@ -77,15 +77,15 @@ def test_colors_are_means_of_light_over_the_area() -> None:
     faces, uv = np.array([[0, 1, 2], [0, 2, 3]]), square[:, :2]
     image = np.zeros((8, 8, 3), np.uint8)
     image[:, :4] = 255
-    shown = measure([Part(square, faces, np.ones(3), uv=uv, image=image)])
+    shown = measure([ModelPart(square, faces, np.ones(3), uv=uv, image=image)])
     # Half of the light is 188 of 255.
     assert shown.color == pytest.approx((188,) * 3, abs=1)
     for wrap, color in ((REPEAT, 255), (MIRROR, 0), (CLAMP, 0)):
-        part = Part(square, faces, np.ones(3), uv=uv * 0.4 + 1.05, image=image, wraps=(wrap, wrap))
+        part = ModelPart(square, faces, np.ones(3), uv=uv * 0.4 + 1.05, image=image, wraps=(wrap, wrap))
         assert measure([part]).color == pytest.approx((color,) * 3), wrap
-    flat = Part(square * [1, 0, 0], faces, np.ones(3))
-    assert measure([flat]) == Measure(0, (0.0,) * 3, (0.0,) * 3, None)
-    assert measure([flat, Part(square, faces)]).triangles == 2
+    flat = ModelPart(square * [1, 0, 0], faces, np.ones(3))
+    assert measure([flat]) == ModelMeasure(0, (0.0,) * 3, (0.0,) * 3, None)
+    assert measure([flat, ModelPart(square, faces)]).triangles == 2
 
 
 def test_a_corpus_that_is_absent_is_told_in_one_line(tmp_path: Path) -> None:

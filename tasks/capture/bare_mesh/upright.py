@@ -126,8 +126,8 @@ def is_closed(surface: Surface) -> bool:
     edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     edges = edges[edges[:, 0] != edges[:, 1]]
     forward, counts = np.unique(edges, axis=0, return_counts=True)
-    backward, others = np.unique(edges[:, ::-1], axis=0, return_counts=True)
-    return np.array_equal(forward, backward) and np.array_equal(counts, others)
+    backward, backward_counts = np.unique(edges[:, ::-1], axis=0, return_counts=True)
+    return np.array_equal(forward, backward) and np.array_equal(counts, backward_counts)
 
 
 def _one_sided(surface: Surface, axis: int) -> float:

@@ -1,4 +1,4 @@
-"""Triangles of polygons with any number of corners. Outlines that a fan of triangles would leave are filled by ear clipping."""
+"""Triangulation of polygons with any number of corners. Outlines that a fan of triangles would leave are filled by ear clipping."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ MAX_AREA_ERROR = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
-class Triangles:
-    """Triangles of polygons.
+class Triangulation:
+    """Triangulation of polygons.
 
     corners: positions among the corners of all polygons, shape (m, 3). owner: polygon of each triangle, shape (m,).
     """
@@ -27,8 +27,8 @@ class Triangles:
     owner: Integers
 
 
-def triangulate(points: NDArray[np.float64], counts: Integers) -> Triangles:
-    """Triangles of polygons, those of each polygon together; polygons of fewer than three corners have none.
+def triangulate(points: NDArray[np.float64], counts: Integers) -> Triangulation:
+    """Triangulation of polygons, those of each polygon together; polygons of fewer than three corners have none.
 
     Args:
         points: position of each corner, polygon by polygon, shape (c, 3).
@@ -41,15 +41,15 @@ def triangulate(points: NDArray[np.float64], counts: Integers) -> Triangles:
     first = starts[owner]
     corners = np.column_stack([first, first + step + 1, first + step + 2])
     if counts.max(initial=0) <= 3:
-        return Triangles(corners, owner)
+        return Triangulation(corners, owner)
     pieces = {number: _clipped(points, int(starts[number]), int(counts[number])) for number in _concave(points, corners, owner, counts)}
     known = {number: piece for number, piece in pieces.items() if piece is not None}
     if not known:
-        return Triangles(corners, owner)
+        return Triangulation(corners, owner)
     is_fan = ~np.isin(owner, list(known))
     owners = np.concatenate([owner[is_fan], *(np.full(len(piece), number) for number, piece in known.items())])
     order = np.argsort(owners, kind="stable")
-    return Triangles(np.concatenate([corners[is_fan], *known.values()])[order], owners[order])
+    return Triangulation(np.concatenate([corners[is_fan], *known.values()])[order], owners[order])
 
 
 def _concave(points: NDArray[np.float64], corners: Integers, owner: Integers, counts: Integers) -> list[int]:
@@ -70,7 +70,7 @@ def _crosses(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _clipped(points: NDArray[np.float64], start: int, count: int) -> Integers | None:
-    """Triangles of one polygon by ear clipping, shape (m, 3); None for an outline that crosses itself or is not finite."""
+    """Triangulation of one polygon by ear clipping, shape (m, 3); None for an outline that crosses itself or is not finite."""
     import mapbox_earcut
 
     outline = points[start : start + count]
@@ -80,12 +80,12 @@ def _clipped(points: NDArray[np.float64], start: int, count: int) -> Integers | 
     normal = np.cross(moved, np.roll(moved, -1, axis=0)).sum(axis=0)
     dropped = int(np.abs(normal).argmax())
     plane = np.ascontiguousarray(np.delete(moved, dropped, axis=1))
-    found = mapbox_earcut.triangulate_float64(plane, np.array([count], dtype=np.uint32)).astype(np.int64).reshape(-1, 3)
-    crosses = _crosses(moved[found])
+    faces = mapbox_earcut.triangulate_float64(plane, np.array([count], dtype=np.uint32)).astype(np.int64).reshape(-1, 3)
+    crosses = _crosses(moved[faces])
     along = crosses @ normal
-    # Triangles keep the winding of their outline.
-    found = np.where((along < 0)[:, None], found[:, ::-1], found)
+    # Triangulation keep the winding of their outline.
+    faces = np.where((along < 0)[:, None], faces[:, ::-1], faces)
     area = float(np.linalg.norm(normal))
     if abs(float(np.abs(along).sum()) / max(area, 1e-300) - area) > MAX_AREA_ERROR * area:
         return None
-    return found + start
+    return faces + start
