@@ -27,7 +27,8 @@ ROOMS = {
 }
 PRODUCT = tuple(room for room in ROOMS if room != "bench")
 """What is in the wheel."""
-DOORS = {(f"flows/commands/bench/{name}.py", "bench") for name in ("__init__", "acting", "capturing", "drawing", "matching", "modeling")}
+_BENCHES = ("__init__", "acting", "capturing", "comparing", "drawing", "matching", "modeling")
+DOORS = {(f"flows/commands/bench/{name}.py", "bench") for name in _BENCHES}
 """Modules that import what their room does not, where a command asks for it."""
 WIDEST = 20
 """Modules of a folder, besides its `__init__`."""

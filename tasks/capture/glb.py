@@ -68,12 +68,14 @@ def read_glb_scene(scan: Scan) -> Reading:
     check_vertices(surface.vertices, name)
     if not np.isfinite(surface.vertices).all():
         raise InputError(name, "meshes", "have coordinates that are not finite", "export it again")
-    members: dict[tuple[str, str], list[int]] = {}
+    # A node `chair` is not a part of a model `chair|chair|seat`.
+    members: dict[tuple[str, str, bool], list[int]] = {}
     for index, part in enumerate(parts):
         called = str(part.metadata["name"])
         named = parse_node_name(called)
-        label = named["category"] if called.removeprefix(named["model"])[1:2] not in ("", "|") else plain_label(named["model"])
-        members.setdefault((named["model"], label), []).append(index)
+        is_part = called.removeprefix(named["model"])[1:2] not in ("", "|")
+        label = named["category"] if is_part else plain_label(named["model"])
+        members.setdefault((named["model"], label, is_part), []).append(index)
     face_starts = np.concatenate([[0], np.cumsum([len(part.faces) for part in parts])])
     vertex_starts = np.concatenate([[0], np.cumsum([len(part.vertices) for part in parts])])
     groups = tuple(
@@ -84,7 +86,7 @@ def read_glb_scene(scan: Scan) -> Reading:
             faces=np.concatenate([np.arange(face_starts[i], face_starts[i + 1]) for i in own]),
             origin=f"{path.name}: node {str(parts[own[0]].metadata['name'])!r:.100}",
         )
-        for (model, label), own in sorted(members.items())
+        for (model, label, _), own in sorted(members.items())
     )
     groups, joined_notes = split_joined(groups, surface, name)
     return Reading(

@@ -12,10 +12,8 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import is_there, read_file
 from tasks.capture.files.named import Folders
+from tasks.capture.files.obj import material_name
 from tasks.capture.files.ply import texture_files
-
-MATERIALS = "materials"
-"""Name under which the rewritten OBJ states its only material library."""
 
 COLOR_MAPS = ("map_kd", "map_ka")
 """Keywords of images that give a surface its color, the first that is there is taken."""
@@ -46,17 +44,24 @@ class MapLine:
 
 
 @dataclasses.dataclass(frozen=True)
+class ObjMaterial:
+    """A material. color: display values, 0 to 1. image: file of its image. scale, offset: of texture coordinates (u, v)."""
+
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    image: Path | None = None
+    scale: tuple[float, float] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclasses.dataclass(frozen=True)
 class Materials:
     """The material libraries of an OBJ.
 
-    text: One library with the colors and the images that were found. images: Files by their names in `text`.
-    moved: Maps whose texture coordinates are scaled or shifted, by name of the material. files: All files that the
-    libraries draw on, with themselves. outside: Names that lead out of the dataset's folder. notes: Losses, a line each.
+    looks: materials by name, blanks in names taken as one. files: all files that the libraries draw on, with themselves.
+    outside: names that lead out of the dataset's folder. notes: losses, a line each.
     """
 
-    text: bytes
-    images: dict[str, Path]
-    moved: dict[str, MapLine]
+    looks: dict[str, ObjMaterial]
     files: tuple[Path, ...]
     outside: tuple[str, ...]
     notes: tuple[str, ...]
@@ -70,29 +75,21 @@ def decoded(data: bytes) -> bytes:
     return data
 
 
-def with_one_library(data: bytes) -> bytes:
-    """The text of an OBJ whose only `mtllib` line is its first and names `MATERIALS`."""
-    text = re.sub(rb"(?im)^[ \t]*(?:mtllib\b|#)[^\n]*", b"", data)
-    return f"mtllib {MATERIALS}\n".encode() + re.sub(rb"(?im)^[ \t]*usemtl[ \t]+", b"usemtl ", text)
-
-
 def read_materials(data: bytes, path: Path, root: Path) -> Materials:
     """Materials that the OBJ at `path`, with the decoded text `data`, draws on; files outside `root` are not opened."""
     folders = Folders(root)
     outside: list[str] = []
     notes: list[str] = []
     files: list[Path] = []
-    images: dict[str, Path] = {}
-    moved: dict[str, MapLine] = {}
-    lines: list[str] = []
+    looks: dict[str, ObjMaterial] = {}
     libraries = _libraries(data, path.parent, folders, outside, notes)
     if not libraries and notes and not outside:
         alone = [file for ending in IMAGES if (file := folders.find((path.stem + ending,), path.parent, path.parent)) is not None]
         if len(alone) == 1:
             notes.append(f"{alone[0].name} is taken for its image, by its name")
-            files, images = alone, {"image_0": alone[0]}
-            used = dict.fromkeys(match[1].strip() for match in re.finditer(rb"(?im)^[ \t]*usemtl[ \t]+([^\r\n]+)", data))
-            lines = [f"newmtl {name.decode('utf-8', 'replace')}\nKd 1 1 1\nmap_Kd image_0" for name in used]
+            files = alone
+            used = re.finditer(rb"(?im)^[ \t]*usemtl\b([^\r\n]*)", data)
+            looks = {material_name(match[1].split()): ObjMaterial(image=alone[0]) for match in used}
     see_through: list[str] = []
     for library in libraries:
         files.append(library)
@@ -111,17 +108,12 @@ def read_materials(data: bytes, path: Path, root: Path) -> Materials:
             if shown is not None and color == (0.0, 0.0, 0.0):
                 notes.append(f"material {name} is black under its image: the image is taken as it is")
                 color = None
-            lines += [f"newmtl {name}", "Kd {:.9g} {:.9g} {:.9g}".format(*(color or (1.0, 1.0, 1.0)))]
+            looks[name] = ObjMaterial(color or (1.0, 1.0, 1.0))
             if shown is not None:
-                alias = f"image_{len(images)}"
-                images[alias] = shown[1]
-                lines.append(f"map_Kd {alias}")
-                if (shown[0].scale, shown[0].offset) != ((1.0, 1.0), (0.0, 0.0)):
-                    moved[name] = shown[0]
+                looks[name] = dataclasses.replace(looks[name], image=shown[1], scale=shown[0].scale, offset=shown[0].offset)
     if see_through:
         notes.append(f"materials that let light through are read as solid: {', '.join(see_through)}"[:200])
-    text = "\n".join(lines).encode("utf-8", "replace") + b"\n"
-    return Materials(text, images, moved, tuple(dict.fromkeys(files)), tuple(outside), tuple(dict.fromkeys(notes)))
+    return Materials(looks, tuple(dict.fromkeys(files)), tuple(outside), tuple(dict.fromkeys(notes)))
 
 
 def map_line(rest: str) -> MapLine:
@@ -231,10 +223,10 @@ def _libraries(data: bytes, folder: Path, folders: Folders, outside: list[str], 
         if not any(file for _, file in files):
             if folders.leads_out(named[0].strip(), folder):
                 outside.append(named[0].strip())
-            files = [(line, None)]
+            notes.append(f"{line} is missing, drawn without it")
+        else:
+            notes += [f"{name} is missing, drawn without it" for name, file in files if file is None and name != line]
         libraries += [file for _, file in files if file is not None]
-        if len(named) == len(files):
-            notes += [f"{name} is missing, drawn without it" for name, file in files if file is None]
     return list(dict.fromkeys(libraries))
 
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import io
 import re
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import read_file, stays_in
+from schemas.files import stays_in
 from tasks.capture.files.documents import name_of, read_bytes
 from tasks.capture.files.ply import read_ply_mesh
 from tasks.capture.files.survey import offset_error
@@ -21,7 +20,8 @@ from tasks.containers import GLB_MAGIC
 from tasks.geometry.gltf.plain import read_features
 from tasks.geometry.meshes import check_looks, load_glb
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
-from tasks.ingestion.materials import MATERIALS, Materials, decoded, read_materials, with_one_library
+from tasks.ingestion.materials import decoded
+from tasks.ingestion.obj import obj_parts
 
 if TYPE_CHECKING:
     import trimesh
@@ -97,20 +97,15 @@ def _guarded_glb(data: bytes, name: str) -> tuple[list[trimesh.Trimesh], list[st
 
 def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[list[trimesh.Trimesh], list[str]]:
     """Parts of an OBJ, PLY or STL, in its own frame."""
-    import trimesh
-
-    resolver, materials = None, None
     if kind == "ply":
         ply = read_ply_mesh(path, name, is_in_metres=False)
         return [ply.surface.to_trimesh()], list(ply.notes)
     if kind == "obj":
-        data = decoded(data)
-        materials = read_materials(data, path, root)
-        if materials.outside:
-            raise InputError(name, "materials", f"name {materials.outside[0]!r}, outside the dataset's folder", "copy it in")
-        data, resolver = with_one_library(data), _confined(materials)
+        return obj_parts(decoded(data), path, root, name)
+    import trimesh
+
     try:
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=resolver, process=False)
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False)
     except Exception as error:  # the loader raises whatever the bytes lead it to
         raise InputError(name, "content", f"is no readable {kind.upper()} ({type(error).__name__}: {error})", "export it again") from error
     check_looks(scene, name)
@@ -124,58 +119,4 @@ def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[
             raise InputError(name, "vertices", f"have {part.vertices.shape[-1]} numbers, not 3", "export it again")
         if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
             raise InputError(name, "faces", "name vertices that are not there", "export it again")
-        uv = getattr(part.visual, "uv", None)
-        if uv is not None and np.shape(uv)[1:] not in ((2,), (3,)):
-            raise InputError(name, "texture coordinates", "have one number, not two", "export it again")
-    if materials is None or resolver is None:
-        return parts, []
-    _move_coordinates(parts, materials)
-    return parts, [f"{name}: {note}" for note in (*materials.notes, *resolver.notes)]
-
-
-def _move_coordinates(parts: Sequence[trimesh.Trimesh], materials: Materials) -> None:
-    """Scale and shift texture coordinates as the materials state it."""
-    for part in parts:
-        visual: Any = part.visual
-        line = materials.moved.get(str(getattr(getattr(visual, "material", None), "name", "")))
-        if line is not None and getattr(visual, "uv", None) is not None:
-            uv = np.array(visual.uv, dtype=np.float64)
-            uv[:, :2] = uv[:, :2] * line.scale + line.offset
-            visual.uv = uv
-
-
-def _confined(materials: Materials) -> Any:
-    """A resolver that gives the materials and the images found for them, and notes images that cannot be decoded."""
-    from PIL import Image
-    from trimesh.resolvers import Resolver
-
-    class Confined(Resolver):
-        def __init__(self) -> None:
-            self.notes: list[str] = []
-
-        def get(self, name: str) -> bytes:
-            if name.strip() == MATERIALS:
-                return materials.text
-            file = materials.images.get(name.strip())
-            if file is None:
-                raise FileNotFoundError(name)
-            try:
-                data = read_file(file, file.name, MAX_MODEL_BYTES)
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")  # sizes are checked where images are decoded
-                    Image.open(io.BytesIO(data))
-            except Exception:  # the decoder raises whatever the bytes lead it to
-                self.notes.append(f"{file.name} cannot be decoded, drawn without it")
-                raise FileNotFoundError(name) from None
-            return data
-
-        def write(self, name: str, data: Any) -> None:
-            raise PermissionError(name)
-
-        def namespaced(self, namespace: str) -> Any:
-            return self
-
-        def keys(self) -> list[str]:
-            return []
-
-    return Confined()
+    return parts, []

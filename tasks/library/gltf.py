@@ -26,15 +26,17 @@ def _read(path: Path, root: Path) -> ReadModel:
     Raises:
         InputError: it is broken, larger than the budget, or a buffer is missing or lies outside of the folder.
     """
+    from tasks.geometry.gltf.plain import read_features
     from tasks.geometry.meshes import load_glb
 
     name = path.relative_to(root).as_posix()
     packed, notes = packed_gltf(path, root, name)
     try:
-        parts = load_glb(packed, name)
+        plain = read_features(packed, name)
+        parts = load_glb(plain.data, name)
     except (ValueError, IndexError, TypeError, KeyError) as error:
         raise InputError(name, "meshes", f"are broken ({error})", "export it again") from error
-    return ReadModel(parts, GLTF.name, 1.0, "y", is_turned=True, notes=tuple(notes))
+    return ReadModel(parts, GLTF.name, 1.0, "y", is_turned=True, notes=(*notes, *plain.notes))
 
 
 def packed_gltf(path: Path, root: Path, name: str) -> tuple[bytes, list[str]]:

@@ -273,9 +273,13 @@ def models(ending: str) -> list[Case]:
             lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vn 0 0 1", *(f"f {a + 1}/1/1 {b + 1}/2/1 {c + 1}/3/1" for a, b, c in box.faces)]
             quads = ["v 0 0 0", "v 1 0 0", "v 1 1 0 0.5 0.5 0.5", "v 0 1 0", "s off", "g a", "f 1 2 3 4", "f -1//1 -2 -3"]
             mtl = b"newmtl paint\nKd 0.8 0.2 0.1\nd 1.0\nmap_Kd model.png\n"
+            arrow = ["mtllib other.mtl model.mtl", "v 0 0 0 255 0 0", "v 2 2 0 0 255 0", "v 0 1 0 0 0 255", "v -2 2 0", "vt 0.5", "p 1"]
+            arrow += ["usemtl", "f 2/1 3/-1 \\", "4/1 1/1", "l 1 2", "usemtl old  oak", "f -1 -2 -3"]
+            odd = b"newmtl\nKd 0.5\nMAP_KD -s 2 2 -o 0.5 0 -clamp on C:\\x\\MODEL.png\nnewmtl old oak\nKa 1 1 1\nmap_Ka gone.png\n"
             return [
                 {"model.obj": "\n".join(lines).encode() + b"\n", "model.mtl": mtl, "model.png": _image()},
                 {"model.obj": "\n".join(quads).encode() + b"\n"},
+                {"model.obj": "\n".join(arrow).encode() + b"\n", "model.mtl": odd, "model.png": _image()},
             ]
         case ".ply":
             return [{"model.ply": case["mesh.ply"]} for case in ply()]

@@ -267,7 +267,8 @@ def _imported(kind: str) -> Callable[[Path], None]:
 
 def _model(ending: str) -> Callable[[Path], None]:
     def read(folder: Path) -> None:
-        from tasks.ingestion.models import is_convex, material_files, read_model
+        from tasks.ingestion.materials import material_files
+        from tasks.ingestion.models import is_convex, read_model
 
         path = folder / f"model{ending}"
         material_files(path, folder.resolve())

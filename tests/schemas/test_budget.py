@@ -252,7 +252,7 @@ def test_odd_models_of_finished_datasets_are_refused_in_one_line_each(tmp_path: 
     assert len(said) == len(MODELS), said
     for name, line in zip(MODELS, said, strict=True):
         assert line.startswith(f"{tmp_path.name}/{name}: "), (name, line)
-    assert "have 2 numbers, not 3" in said[0]
+    assert "has not 3 numbers (it has 2)" in said[0]
     assert "pixels" in said[4]
     assert "cannot be decoded" in said[5]
 

@@ -12,6 +12,7 @@ from click.core import ParameterSource
 
 from flows.commands.bench.acting import policy, robot
 from flows.commands.bench.capturing import capture
+from flows.commands.bench.comparing import files
 from flows.commands.bench.drawing import synthesis
 from flows.commands.bench.matching import alignment, selection
 from flows.commands.bench.measurement import chosen_words, listed_numbers, processes_option, run_measurement
@@ -36,6 +37,7 @@ def command() -> None:
 
 command.add_command(alignment)
 command.add_command(capture)
+command.add_command(files)
 command.add_command(models)
 command.add_command(policy)
 command.add_command(robot)

@@ -110,11 +110,24 @@ def _upright(surface: Surface, stated: Stated) -> tuple[Array, str]:
     here = 2 if stated.is_turned or stated.up == "z" else 1
     note = f"{stated.up} is taken to be up, as {stated.by} has it"
     sides = {axis: _one_sided(surface, axis) for axis in (1, 2)}
+    if is_closed(surface):  # drawn with its undersides, of which nothing can be told
+        sides = dict.fromkeys(sides, 0.0)
     if sides[3 - here] < max(CLEAR, sides[here] + CLEARER):
         return (np.eye(4) if here == 2 else Y_UP_TO_Z_UP), note
     axis = "z" if stated.up == "y" else "y"
     turn = Z_UP_TO_Y_UP if stated.is_turned else (np.eye(4) if here == 1 else Y_UP_TO_Z_UP)  # back to the file's own axes, or z for y
     return turn, f"{axis} is up by the geometry, of which tops were scanned and undersides were not; {stated.by} has {stated.up}"
+
+
+def is_closed(surface: Surface) -> bool:
+    """True if every edge has a face on each side, as no scanned surface has."""
+    _, place = welded(surface.vertices)
+    corners = place[surface.faces]
+    edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    forward, counts = np.unique(edges, axis=0, return_counts=True)
+    backward, backward_counts = np.unique(edges[:, ::-1], axis=0, return_counts=True)
+    return np.array_equal(forward, backward) and np.array_equal(counts, backward_counts)
 
 
 def _one_sided(surface: Surface, axis: int) -> float:

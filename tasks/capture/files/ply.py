@@ -205,13 +205,13 @@ def _any_kind(data: bytes, start: int, order: str, elements: list[PlyElement], p
     indices = index_column(content.get("face", {}))
     if indices is None:
         raise InputError(name, "element face", "has no list of vertices", "export the scan as a triangle mesh")
-    triangles = triangles_of(indices)
+    with np.errstate(invalid="ignore"):  # a signaling NaN is not a number, and is reported as one
+        vertices = np.stack([vertex[axis].values for axis in "xyz"], axis=1).astype(np.float64)
+    triangles = triangles_of(indices, vertices)
     if not len(triangles.faces):
         raise InputError(name, "element face", "the mesh has no triangles", "export the scan as a triangle mesh")
     if len(triangles.faces) > BUDGET.faces:
         raise InputError(name, "element face", f"has {len(triangles.faces)} triangles, more than {BUDGET.faces}", "decimate the mesh")
-    with np.errstate(invalid="ignore"):  # a signaling NaN is not a number, and is reported as one
-        vertices = np.stack([vertex[axis].values for axis in "xyz"], axis=1).astype(np.float64)
     outside = (triangles.faces < 0) | (triangles.faces >= len(vertices))
     if outside.any():
         row = int(triangles.owner[np.flatnonzero(outside.any(axis=1))[0]])

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.files.ply_header import PlyElement
+from tasks.capture.files.polygons import triangulate
 from tasks.geometry.meshes import sample_texture
 
 GRAY = 180
@@ -168,7 +169,7 @@ def _numbers(words: list[bytes]) -> NDArray[np.float64]:
 
 @dataclasses.dataclass(frozen=True)
 class Triangles:
-    """Fans of polygons. faces: Vertices, shape (m, 3). owner: Polygon of each triangle, shape (m,). corners: Positions of its
+    """Triangles of polygons. faces: Vertices, shape (m, 3). owner: Polygon of each triangle, shape (m,). corners: Positions of its
     corners among those of all polygons, shape (m, 3)."""
 
     faces: NDArray[np.int64]
@@ -176,16 +177,17 @@ class Triangles:
     corners: NDArray[np.int64]
 
 
-def triangles_of(column: PlyColumn) -> Triangles:
-    """Triangles of polygons; lists of fewer than three vertices have none."""
+def triangles_of(column: PlyColumn, vertices: NDArray[np.float64]) -> Triangles:
+    """Triangles of polygons; lists of fewer than three vertices have none.
+
+    vertices: Positions, shape (n, 3); polygons that name others are left to the caller.
+    """
     assert column.counts is not None
-    count = np.maximum(column.counts - 2, 0)
-    owner = np.repeat(np.arange(len(count)), count)
-    first = (np.cumsum(column.counts) - column.counts)[owner]
-    inner = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
-    corners = np.column_stack([first, first + inner + 1, first + inner + 2])
     with np.errstate(invalid="ignore"):
-        return Triangles(column.values.astype(np.int64)[corners].reshape(-1, 3), owner, corners.reshape(-1, 3))
+        indices = column.values.astype(np.int64)
+    known = np.clip(indices, 0, max(len(vertices) - 1, 0))
+    triangles = triangulate(vertices[known] if len(vertices) else np.zeros((len(known), 3)), column.counts)
+    return Triangles(indices[triangles.corners].reshape(-1, 3), triangles.owner, triangles.corners)
 
 
 def index_column(columns: Columns) -> PlyColumn | None:

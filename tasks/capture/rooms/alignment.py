@@ -257,15 +257,47 @@ def dominant_yaw(faces: Facets) -> float | None:
     reach = np.arange(-8, 9)
     smooth = sum(np.roll(histogram, k) * np.exp(-0.5 * (k / 3.0) ** 2) for k in reach)
     peak = (int(np.argmax(smooth)) + 0.5) / bins * (np.pi / 2)
-    plan = faces.corners[upright].reshape(-1, 3)[:, :2]
+    plan, owner, weights = _plan_points(faces.corners[upright][:, :, :2], weight)
     plan = plan - plan.mean(axis=0)
-    sides = np.repeat(faces.normals[upright, :2], 3, axis=0)
-    weights = np.repeat(weight, 3)
+    sides = faces.normals[upright, :2][owner]
     best = peak
     for span, step in ((6.0, 0.5), (0.5, 0.1), (0.1, 0.02)):
         turns = best + np.deg2rad(np.arange(-span, span + step / 2, step))
         best = float(turns[int(np.argmax(sharpness(plan, sides, weights, turns)))])
     return float((best + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+
+
+_COARSE_M = 0.25
+"""Faces longer than this are drawn, not fused from depth."""
+
+_MAX_DIVISIONS, _MAX_POINTS = 40, 1_000_000
+"""A wall of 10 m has a point every quarter meter. All points together take a second."""
+
+
+def _plan_points(corners: Array, areas: Array) -> tuple[Array, NDArray[np.int64], Array]:
+    """Points of faces on the floor [m], shape (n, 2), the face of each, and its weight, shape (n,).
+
+    Small faces are their corners. Corners of large ones would lie in line with those of other faces by chance.
+
+    Args:
+        corners: of upright faces on the floor [m], shape (m, 3, 2).
+        areas: of the faces [m2], shape (m,).
+    """
+    lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    is_coarse = lengths > _COARSE_M
+    small = np.flatnonzero(~is_coarse)
+    places, owners = [corners[small].reshape(-1, 2)], [np.repeat(small, 3)]
+    weights = [np.repeat(areas[small], 3)]
+    most = int(np.clip((2 * _MAX_POINTS / max(int(is_coarse.sum()), 1)) ** 0.5, 1, _MAX_DIVISIONS))
+    divisions = np.where(is_coarse, np.clip(np.ceil(lengths / _COARSE_M), 1, most), 0).astype(np.int64)
+    for count in np.unique(divisions[is_coarse]):
+        chosen = np.flatnonzero(divisions == count)
+        steps = np.array([(i, j, count - 1 - i - j) for i in range(count) for j in range(count - i)])
+        lattice = (steps + 1 / 3) / count
+        places.append(np.einsum("pk,mkd->mpd", lattice, corners[chosen]).reshape(-1, 2))
+        owners.append(np.repeat(chosen, len(lattice)))
+        weights.append(np.repeat(3.0 * areas[chosen] / len(lattice), len(lattice)))
+    return np.concatenate(places), np.concatenate(owners), np.concatenate(weights)
 
 
 def rotation_to_z(up: Array) -> Array:

@@ -146,11 +146,19 @@ def check_features(document: Document, file: str) -> tuple[str, ...]:
             notes.append(f"{file}: {entry.text}")
     for field, problem in _misshapen(document):
         raise InputError(file, field, problem, "export it again")
+    modes = {primitive.get("mode", 4) for mesh in entries(document, "meshes") for primitive in entries(mesh, "primitives")}
+    if modes and modes <= _SURFACELESS:
+        raise InputError(file, "meshes", "holds no triangles, only points and lines", "export it with its faces")
     return tuple(notes)
 
 
+_SURFACELESS = {0, 1, 2, 3}
+"""Modes of points and lines (glTF 2.0, 3.7.2.1)."""
+
+
 def _misshapen(document: Document) -> Iterator[tuple[str, str]]:
-    """Values of materials and extensions that are of the wrong kind: field and problem."""
+    """Values of lists, materials and extensions that are of the wrong kind, and nodes below themselves: field and problem."""
+    yield from _broken_lists(document)
     textures = len(entries(document, "textures"))
     for index, material in enumerate(entries(document, "materials")):
         plain = material.get("pbrMetallicRoughness", {})
@@ -175,6 +183,54 @@ def _misshapen(document: Document) -> Iterator[tuple[str, str]]:
                 level += value
 
 
+_LISTS = (
+    "accessors", "animations", "bufferViews", "buffers", "cameras", "images", "materials", "meshes", "nodes", "samplers", "scenes",
+    "skins", "textures",
+)  # fmt: skip
+
+
+def _broken_lists(document: Document) -> Iterator[tuple[str, str]]:
+    """Lists that are not lists of objects or of numbers, and nodes that lie below themselves."""
+    holders: list[tuple[str, Any]] = [(key, document[key]) for key in _LISTS if key in document]
+    holders += [(f"mesh {index}: primitives", mesh.get("primitives")) for index, mesh in enumerate(entries(document, "meshes"))]
+    for field, value in holders:
+        if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
+            yield field, "is not a list of objects"
+    for key in _LISTS:
+        for index, entry in enumerate(entries(document, key)):
+            if not isinstance(entry.get("name"), str | None):
+                yield f"{key} {index}", f"has the name {entry['name']!r:.20}, which is not a text"
+    nodes = entries(document, "nodes")
+    number = document.get("scene", 0)
+    if type(number) is not int or number < 0:
+        yield "scene", f"is {number!r:.20}, not a number"
+    children = [node.get("children", []) for node in nodes]
+    named = [(f"node {index}: children", value) for index, value in enumerate(children)]
+    named += [(f"scene {index}: nodes", scene.get("nodes", [])) for index, scene in enumerate(entries(document, "scenes"))]
+    for field, value in named:
+        if not isinstance(value, list):
+            yield field, "is not a list of nodes"
+            return
+        wrong = [entry for entry in value if type(entry) is not int or not 0 <= entry < len(nodes)]
+        if wrong:
+            yield field, f"names node {wrong[0]!r:.20} of {len(nodes)}"
+            return
+    # A tree loses a leaf at a time; what is left then lies on a circle, or above one.
+    parents: dict[int, list[int]] = {}
+    for index, below in enumerate(children):
+        for child in below:
+            parents.setdefault(child, []).append(index)
+    left = [len(below) for below in children]
+    leaves = [index for index, count in enumerate(left) if not count]
+    for leaf in leaves:
+        for parent in parents.get(leaf, ()):
+            left[parent] -= 1
+            leaves += [parent] if not left[parent] else []
+    circle = next((index for index, count in enumerate(left) if count), None)
+    if circle is not None:
+        yield f"node {circle}", "lies below itself, or above a node that does"
+
+
 def _core_counts(document: Document) -> dict[str, int]:
     """Places of the features of glTF itself that are not read in full."""
     version = objects(document.get("asset"))[0].get("version", "2.0") if isinstance(document.get("asset"), dict) else "2.0"
@@ -184,7 +240,7 @@ def _core_counts(document: Document) -> dict[str, int]:
     shown = {nodes[index].get("mesh") for index in drawn if isinstance(nodes[index].get("mesh"), int)}
     placed = {node["mesh"] for node in nodes if isinstance(node.get("mesh"), int)}
     return {
-        "points and lines": sum(entry.get("mode", 4) in (0, 1, 2, 3) for entry in primitives),
+        "points and lines": sum(entry.get("mode", 4) in _SURFACELESS for entry in primitives),
         "animations": len(entries(document, "animations")),
         "cameras": len(entries(document, "cameras")),
         "several scenes": len(scenes) if len(scenes) > 1 else 0,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from tasks.capture.files.polygons import triangulate
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -73,11 +74,8 @@ def _mesh(mesh: Any, name: str) -> Polygons:
         raise InputError(name, path, f"has {len(point_of)} corners where its faces count {counts.sum()}", "export it again")
     if len(point_of) and not 0 <= point_of.min() <= point_of.max() < len(points):
         raise InputError(name, path, "has faces of points that are not there", "export it again")
-    fans = np.maximum(counts - 2, 0)
-    owner = np.repeat(np.arange(len(counts)), fans)
-    step = np.arange(len(owner)) - np.repeat(np.cumsum(fans) - fans, fans)
-    start = (np.cumsum(counts) - counts)[owner]
-    triangles = np.column_stack([start, start + step + 1, start + step + 2])
+    made = triangulate(points[point_of], counts)
+    triangles, owner = made.corners, made.owner
     if first(mesh.GetOrientationAttr()) == "leftHanded":
         triangles = triangles[:, ::-1]
     return Polygons(points, point_of, np.repeat(np.arange(len(counts)), counts), triangles, owner)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tasks.capture import CaptureConfig, run
+from tasks.capture.bare_mesh import BARE_MESH
 from tasks.capture.formats import find_scans, format_of
 from tasks.capture.glb import is_label, plain_label
 from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
 from tasks.capture.rooms.alignment import align
 from tasks.containers import close_glb, open_glb
-from tasks.geometry.meshes import dump_glb, load_glb
+from tasks.geometry.meshes import Surface, dump_glb, load_glb
+from tasks.geometry.transforms import translation, yaw_pose
 from tasks.geometry.triangles import face_areas
 from tasks.stage import Context, Outcome
 from tests.capture_scans import OBJECTS, box_room
@@ -245,3 +249,38 @@ def test_a_real_house_without_its_names_is_divided_into_what_its_author_drew(rea
     both = np.bincount(own * (len(groups) + 1) + found, weights=areas, minlength=len(names) * (len(groups) + 1)).reshape(len(names), -1)
     overlap = both / (both.sum(axis=1, keepdims=True) + both.sum(axis=0) - both)
     assert (overlap[things, :-1].max(axis=1) >= 0.5).mean() >= 2 / 3
+
+
+def test_a_node_without_bars_is_no_part_of_a_model_of_its_name(tmp_path: Path) -> None:
+    """Two chairs a meter and a half apart: as one instance they would be 2 m wide."""
+    parts = [*SHELL, TABLE, CHAIR, ("chair", CHAIR[1], (0.7, -0.9, 0.45))]
+    path = written(tmp_path / "room.glb", parts, [*(name for name, _, _ in SHELL), "table_1", "chair", "chair|chair|seat"])
+    chairs = [row for row in captured(path).rows["instances"] if row.category == "chair"]
+    assert [np.round(row.box_size, 6).tolist() for row in chairs] == [list(CHAIR[1])] * 2
+
+
+@pytest.mark.parametrize("angle", [0.0, 20.0, -33.0])
+@pytest.mark.parametrize("depth", [0.05, 0.1, 0.3])
+def test_a_drawn_room_is_aligned_by_its_walls(angle: float, depth: float) -> None:
+    """Corners of thick walls line up at a slant: over 5 m, walls of 10 cm are as long from one face to the other at 2.3 degrees."""
+    walls = [((5.0, depth, 2.6), (0.0, side * (2 + depth / 2), 1.3)) for side in (-1, 1)]
+    walls += [((depth, 4.0, 2.6), (side * (2.5 + depth / 2), 0.0, 1.3)) for side in (-1, 1)]
+    boxes = [trimesh.creation.box(extents, translation(center)) for extents, center in walls]
+    mesh: Any = trimesh.util.concatenate(boxes)
+    mesh.apply_transform(yaw_pose(np.deg2rad(angle)))
+    surface = Surface(np.array(mesh.vertices), np.array(mesh.faces), np.zeros(mesh.vertices.shape, np.uint8))
+    made = align(surface, wall_faces=np.ones(len(surface.faces), bool), is_authored=True)
+    yaw = np.rad2deg(np.arctan2(made.pose[1, 0], made.pose[0, 0]))
+    assert (yaw + angle + 45) % 90 - 45 == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_closed_body_stands_as_its_file_has_it(tmp_path: Path) -> None:
+    """A shelf has boards that face up and down alike, and a back that is seen from the front alone, as the rim hides its other side."""
+    seat, back = ((0.45, 0.45, 0.04), (0, 0, 0.45)), ((0.45, 0.04, 0.45), (0, 0.2, 0.695))
+    legs = [((0.04, 0.04, 0.43), (x, y, 0.215)) for x in (-0.19, 0.19) for y in (-0.19, 0.19)]
+    path = written(tmp_path / "chair.glb", [("chair_1", *box) for box in (seat, back, *legs)], [f"part_{n}" for n in range(6)])
+    (scan,), _ = find_scans(path)
+    reading = BARE_MESH.read(dataclasses.replace(scan, format="bare_mesh"))
+    assert reading.surface is not None
+    assert np.ptp(reading.surface.vertices, axis=0) == pytest.approx([0.45, 0.47, 0.92], abs=0.05)
+    assert any("y is taken to be up, as glTF has it" in note for note in reading.degradations)

@@ -102,3 +102,13 @@ def test_files_that_are_not_models_are_counted_by_ending(tmp_path: Path) -> None
     assert [path.name for path in model_files(tmp_path)[0]] == ["chair.gltf", "whole.glb"]
     (line,) = skipped_note(tmp_path)
     assert line.startswith("skipped files that are not models: 2 .fbx, 1 .stl; convert models to one of .glb, .gltf,")
+
+
+def test_features_of_a_gltf_that_are_not_read_are_noted(tmp_path: Path) -> None:
+    path = write_gltf(tmp_path)
+    document = json.loads(path.read_text())
+    document |= {"cameras": [{"type": "perspective"}], "animations": [{"channels": [], "samplers": []}]}
+    path.write_text(json.dumps(document))
+    assert [note.partition(": ")[2] for note in read_model(path, tmp_path).notes] == [
+        "animations: are not played: the pose at rest is read", "cameras: are not read",
+    ]  # fmt: skip

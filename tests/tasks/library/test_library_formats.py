@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from schemas.errors import InputError
+from tasks.capture.files.obj import parse_obj
 from tasks.geometry.colors import bytes_of_linear, linear_of_bytes
 from tasks.geometry.meshes import surface_of, vertex_colors
 from tasks.library.formats import content_of, model_files, read_model
 from tasks.library.metadata import ModelFacts
-from tasks.library.obj import _weigh
 from tasks.library.units import canonical_parts, convention_of
 from tasks.library.usd.child import drawn_on, unpacked
 from tasks.library.usd.stage import Flattened
@@ -359,7 +359,7 @@ def test_a_reader_that_takes_too_much_ends_alone(tmp_path: Path, monkeypatch: py
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 x\n", "faces: one is"),
         ("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
         ("v inf 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1" + " 2" * 100 + "\n", "more than 64 corners"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1" + " 2" * 5000 + "\n", "5001 corners"),
         ("v 0 0 0\n", "."),
         ("", "."),
         ("mtllib /etc/passwd\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "outside"),
@@ -377,12 +377,12 @@ def test_an_obj_that_is_broken_or_leads_elsewhere_is_refused(tmp_path: Path, tex
 
 @given(st.lists(st.integers(1, 5), min_size=3, max_size=8), st.integers(3, 6))
 def test_faces_of_an_obj_may_name_what_is_there(corners: list[int], count: int) -> None:
-    text = "".join(f"v {n} 0 0\n" for n in range(count)) + "f " + " ".join(f"{c}/1/1" for c in corners) + "\n"
+    text = "".join(f"v {n} 0 0\nvt 0 0\n" for n in range(count)) + "f " + " ".join(f"{c}/1/1" for c in corners) + "\n"
     if max(corners) <= count:
-        _weigh(text.encode(), "a.obj")
+        assert parse_obj(text.encode(), "a.obj").faces.max() < count
     else:
         with pytest.raises(InputError):
-            _weigh(text.encode(), "a.obj")
+            parse_obj(text.encode(), "a.obj")
 
 
 def test_an_obj_has_its_textures_and_they_count_for_its_content(tmp_path: Path) -> None:

@@ -169,3 +169,38 @@ def test_doctor_finds_compressed_data_that_cannot_be_decoded(tmp_path: Any) -> N
 def test_the_documentation_names_every_feature_of_the_table() -> None:
     text = (REPOSITORY / "docs" / "formats.md").read_text()
     assert [name for name in (*EXTENSIONS, *CORE) if name not in text] == []
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "problem"),
+    [
+        (("meshes", 0, "primitives"), {}, "mesh 0: primitives: is not a list of objects"),
+        (("meshes", 0, "primitives"), [1], "mesh 0: primitives: is not a list of objects"),
+        (("materials",), {}, "materials: is not a list of objects"),
+        (("samplers",), [None], "samplers: is not a list of objects"),
+        (("scenes", 0, "nodes"), 0, "scene 0: nodes: is not a list of nodes"),
+        (("scenes", 0, "nodes"), [0, 99], "scene 0: nodes: names node 99 of"),
+        (("nodes", 0, "children"), None, "node 0: children: is not a list of nodes"),
+        (("nodes", 0, "children"), ["0"], "node 0: children: names node '0' of"),
+        (("nodes", 0, "children"), [0], "node 0: lies below itself"),
+        (("nodes", 0, "name"), 7, "nodes 0: has the name 7, which is not a text"),
+        (("scenes", 0, "name"), [], "scenes 0: has the name"),
+        (("scene",), "0", "scene: is '0', not a number"),
+    ],
+)
+def test_values_of_the_wrong_kind_are_refused_by_name(path: tuple[str | int, ...], value: Any, problem: str) -> None:
+    made = gltf_files.plain()
+    holder: Any = made.document
+    for key in path[:-1]:
+        holder = holder[key]
+    holder[path[-1]] = value
+    with pytest.raises(InputError, match=rf"^room\.glb: {re.escape(problem)}"):
+        read_features(made.data(), "room.glb")
+
+
+@pytest.mark.parametrize("mode", range(4))
+def test_a_file_of_points_and_lines_alone_is_refused_by_name(mode: int) -> None:
+    made = gltf_files.plain()
+    made.document["meshes"][0]["primitives"][0]["mode"] = mode
+    with pytest.raises(InputError, match="holds no triangles, only points and lines"):
+        read_features(made.data(), "room.glb")
