@@ -52,8 +52,9 @@ class Curve:
 class Sheet(Protocol):
     """A wall's surface as a part of a plane: x along the wall, y up, z away from it."""
 
-    seams: Array
-    """Places along the wall where flat pieces meet, its ends included [m], shape (k,)."""
+    @property
+    def seams(self) -> Array:
+        """Places along the wall where flat pieces meet, its ends included [m], shape (k,)."""
 
     def unroll(self, points: Array) -> Array:
         """Points of the wall's own frame in the plane [m], shape (n, 3)."""

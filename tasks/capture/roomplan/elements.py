@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.capture.files.documents import integers, json_floats, plain_text
+from tasks.capture.files.documents import json_floats, plain_text
 from tasks.capture.roomplan.curves import Curve, curve_of
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, inverse, is_rigid, nearest_rigid, transform_points
 
@@ -130,7 +130,7 @@ def _turned_to(element: RoomElement, normal: Array) -> RoomElement:
     """An element in a frame whose z axis is a direction of its own frame, with its corners about z = 0."""
     middle = float((element.corners @ normal).mean()) if len(element.corners) else 0.0
     turn = np.eye(4)
-    if normal[2] < 1.0 - 1e-9:
+    if normal[2] < 1.0 - 1e-12:
         across = np.eye(3)[0] if abs(normal[0]) < 0.9 else np.array([0.0, 0.0, -1.0])
         x = across - normal * float(across @ normal)
         x /= np.linalg.norm(x)
@@ -175,10 +175,13 @@ def _story(value: Any, name: str, field: str) -> int | None:
     """Number of a storey, None where there is none."""
     if value is None:
         return None
-    number = integers([value], name, field, -MAX_STOREYS)[0]
-    if number > MAX_STOREYS:
-        raise InputError(name, field, f"must be at most {MAX_STOREYS}, is {number}", _AGAIN)
-    return int(number)
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise InputError(name, field, "must be a whole number", _AGAIN)
+    if abs(value) > MAX_STOREYS:
+        raise InputError(name, field, f"must be at most {MAX_STOREYS}", _AGAIN)
+    return value
 
 
 def _category(value: Any) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,8 +167,8 @@ def _sheet_part(shape: Any, sheet: Sheet, pose: Array) -> trimesh.Trimesh:
         return trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     for part in flat:
         part.vertices = transform_points(sheet.roll(np.asarray(part.vertices)), pose)
-    whole: trimesh.Trimesh = trimesh.util.concatenate(flat)
-    return whole
+    whole: Any = trimesh.util.concatenate(flat)
+    return cast("trimesh.Trimesh", whole)
 
 
 def ceiling_part(ceiling: RoomElement) -> trimesh.Trimesh:
