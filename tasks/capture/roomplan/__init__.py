@@ -6,6 +6,7 @@ boxes. The USDZ that lies beside it shows the same boxes and is not read.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,15 +15,11 @@ from schemas.errors import InputError
 from tasks.capture.files.documents import license_of, name_of, read_json
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
-from tasks.capture.roomplan.floors import storeys_of
+from tasks.capture.roomplan.room import Drawn, room_reading
 from tasks.capture.roomplan.structure import structure_of
-from tasks.capture.roomplan.surfaces import ElementPart, assembled, box_part, panel_part, sheets_of, wall_parts
 from tasks.capture.scan import Scan, ScanFormat, license_path, own_file
-from tasks.geometry.transforms import Y_UP_TO_Z_UP
 
 _NAMED = re.compile(r"(captured|roomplan).*\.json", re.IGNORECASE)
-
-NO_SURFACE = "no mesh and no frames in the scan: objects are boxes, walls rectangles; no views, no masks"
 
 
 def read_roomplan(scan: Scan) -> Reading:
@@ -35,31 +32,9 @@ def read_roomplan(scan: Scan) -> Reading:
     path = own_file(scan, _document(scan).name)
     name = name_of(path, folder)
     structure = structure_of(read_json(path, name), name)
-    listed = structure.listed
-    holes = [*listed["doors"], *listed["windows"], *listed["openings"]]
-    walls, wall_notes = wall_parts(listed["walls"], holes, name)
-    storeys = storeys_of(listed["walls"], listed["floors"], name)
-    notes = [NO_SURFACE, *structure.notes, *sheets_of(listed["walls"], name)[1], *wall_notes, *storeys.notes]
-    drawn = [("wall", wall.field, part) for wall, part in zip(listed["walls"], walls, strict=True)]
-    drawn += [("floor", floor.field, floor.part) for floor in storeys.floors]
-    drawn += [(kind, element.field, panel_part(element)) for kind in ("door", "window") for element in listed[f"{kind}s"]]
-    drawn += [(element.category, element.field, box_part(element)) for element in listed["objects"]]
-    elements = [
-        ElementPart(f"{label} {number}", label, field, f"{path.name}: {field}.category", part)
-        for number, (label, field, part) in enumerate(drawn)
-    ]
-    whole = assembled(elements, name, "walls", "scan the room again")
-    return Reading(
-        surface=whole.surface,
-        parts=whole.parts,
-        groups=whole.groups,
-        room_type=structure.room_type,
-        license=license_of(license_path(folder, scan.premises)),
-        is_dense=False,
-        degradations=(*notes, *whole.notes),
-        from_file=Y_UP_TO_Z_UP,
-        levels=storeys.levels,
-    )
+    reading = room_reading(structure.listed, Drawn({}, {}), name, f"{path.name}:", structure.notes)
+    license = license_of(license_path(folder, scan.premises))
+    return dataclasses.replace(reading, license=license, room_type=structure.room_type)
 
 
 def _documents(folder: Path) -> Sequence[Path]:

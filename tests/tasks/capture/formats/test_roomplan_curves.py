@@ -118,7 +118,7 @@ def test_an_arc_that_fits_its_wall_is_found(radius: float, sweep: float, side: f
     center = np.array([0.0, -side * radius * float(np.cos(sweep / 2))])
     middle = side * np.pi / 2
     angles = (middle - sweep / 2, middle + sweep / 2)
-    stated = tuple(-angle for angle in angles[::-1]) if is_clockwise else angles
+    stated = (-angles[1], -angles[0]) if is_clockwise else angles
     found, remark = arc_of(Curve(center, radius, (stated,)), width, np.zeros((0, 2)))
     assert remark == ""
     np.testing.assert_allclose(found.ends, [[-width / 2, 0], [width / 2, 0]], atol=0.05 * width + 0.05)
