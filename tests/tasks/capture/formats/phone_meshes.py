@@ -41,8 +41,8 @@ def atlas(surface: Surface) -> tuple[bytes, Array]:
     rows = int(np.ceil(len(colors) / across))
     image = np.zeros((rows * block, across * block, 3), dtype=np.uint8)
     for index, color in enumerate(colors):
-        row, column = divmod(index, across)
-        image[row * block : (row + 1) * block, column * block : (column + 1) * block] = color
+        top, left = block * (index // across), block * (index % across)
+        image[top : top + block, left : left + block] = color
     out = io.BytesIO()
     Image.fromarray(image).save(out, "JPEG", quality=97, subsampling=0)
     row, column = np.divmod(number.ravel(), across)

@@ -150,7 +150,7 @@ def test_a_wall_with_a_hole_stays_as_it_is(tmp_path: Path) -> None:
 
 @pytest.mark.whole
 def test_walls_of_no_plausible_height_are_refused(tmp_path: Path) -> None:
-    boxes = [dataclasses.replace(box, center=box.center, size=tuple(value * 0.01 for value in box.size)) for box in furnished_room()]
-    write_package(tmp_path / "Room.usdz", boxes)  # type: ignore[arg-type]
+    boxes = [dataclasses.replace(box, size=(box.size[0], 0.01 * box.size[1], box.size[2])) for box in furnished_room()]
+    write_package(tmp_path / "Room.usdz", boxes)
     with pytest.raises(InputError, match=r"Room.usdz: metersPerUnit: walls are 0.025 m high \(limits 0.5 and 30 m\)"):
         read(tmp_path)
