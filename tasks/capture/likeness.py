@@ -32,7 +32,6 @@ CONVERSIONS = {
     "*.partial": DOWNLOADING,
     "*.download": DOWNLOADING,
     "*.crdownload": DOWNLOADING,
-    "*.r3d": "rename it to .zip and unzip it, then it is a recording of Record3D",
     "*.bag": f"export the recording: {_POSED}",
     "*.mkv": f"export the recording: {_POSED}",
     "*.oni": f"export the recording: {_POSED}",
