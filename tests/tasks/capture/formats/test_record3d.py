@@ -74,6 +74,19 @@ def test_an_archive_is_a_scan(below: str, tmp_path: Path) -> None:
     assert [scan.scene_id for scan in find_scans(tmp_path / "scans" / "b.r3d")[0]] == ["record3d/b"]
 
 
+def test_a_mesh_next_to_a_recording_is_a_scan_of_its_own(tmp_path: Path) -> None:
+    """A package next to an archive, and a mesh in the folder of a recording, hide neither."""
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared" / "a.r3d").write_bytes(b"PK")
+    (tmp_path / "shared" / "other.usdz").write_bytes(b"PK")
+    assert [scan.scene_id for scan in find_scans(tmp_path / "shared")[0]] == ["mesh/other", "record3d/a"]
+    write_sample(tmp_path / "unzipped" / "b")
+    (tmp_path / "unzipped" / "b" / "export.usdz").write_bytes(b"PK")
+    scans, errors = find_scans(tmp_path / "unzipped")
+    assert [scan.scene_id for scan in scans] == ["record3d/b"]
+    assert "export.usdz is not part of the record3d scan" in str(errors[0])
+
+
 @pytest.mark.whole
 @pytest.mark.parametrize("case", ["empty", "text", "cut", "without metadata", "bad depth"])
 def test_a_broken_archive_is_refused(case: str, tmp_path: Path) -> None:
