@@ -397,7 +397,7 @@ def capture(format_: str) -> list[Case]:
 def meshes() -> list[Case]:
     """A bare mesh in each kind of file."""
     from tasks.geometry.meshes import Surface
-    from tests.tasks.capture.formats.room_packages import furnished_room, write_package
+    from tests.tasks.capture.phones.room_packages import furnished_room, write_package
     from tests.tasks.capture.test_mesh_files import KINDS, written
 
     box = trimesh.creation.box((0.8, 0.6, 0.7))

@@ -71,11 +71,11 @@ def unpacked(code: str, path: Path, name: str, arguments: Sequence[str], frames:
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(temporary_folder())
         facts = run_child(code, [str(path.absolute()), str(folder), *arguments], folder, limits, name)
-        found = Unpacked(folder, facts)
+        recording = Unpacked(folder, facts)
         while len(_held) >= MAX_HELD:
             _held.popitem(last=False)[1][0].close()
-        _held[key] = (stack.pop_all(), found)
-    return found
+        _held[key] = (stack.pop_all(), recording)
+    return recording
 
 
 def step_of(count: int) -> int:

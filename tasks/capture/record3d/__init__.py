@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
+from schemas.files import check_file
 from tasks.capture.consistency.findings import Statements, settled
 from tasks.capture.files.documents import json_floats, license_of, name_of, read_bytes, read_json
 from tasks.capture.files.frames import frame_sources, one_size
@@ -95,14 +97,15 @@ def _opened(path: Path) -> tuple[Path, list[str]]:
     """
     if not is_installed("lzfse"):
         raise missing(path.name, "lzfse", "depth", f"rename it to .zip and unzip it, then {UNPACK}")
+    check_file(path, path.name, BUDGET.scene_bytes)
     count = frames_in(path, path.name)
     step = step_of(count)
-    found = unpacked(CODE, path, path.name, [str(step)], count)
+    recording = unpacked(CODE, path, path.name, [str(step)], count)
     notes = [f"{path.name}: every {step}. of {count} frames is used"] if step > 1 else []
     # Messages name the folder of the files: it gets the name of the recording.
-    folder = found.folder / path.stem
+    folder = recording.folder / path.stem
     if not folder.is_dir():
-        (found.folder / "recording").rename(folder)
+        (recording.folder / "recording").rename(folder)
     return folder, notes
 
 

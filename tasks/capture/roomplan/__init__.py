@@ -15,7 +15,7 @@ from schemas.errors import InputError
 from tasks.capture.files.documents import license_of, name_of, read_json
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
-from tasks.capture.roomplan.room import Drawn, room_reading
+from tasks.capture.roomplan.room import ElementMeshes, room_reading
 from tasks.capture.roomplan.structure import structure_of
 from tasks.capture.scan import Scan, ScanFormat, license_path, own_file
 
@@ -32,7 +32,7 @@ def read_roomplan(scan: Scan) -> Reading:
     path = own_file(scan, _document(scan).name)
     name = name_of(path, folder)
     structure = structure_of(read_json(path, name), name)
-    reading = room_reading(structure.listed, Drawn({}, {}), name, f"{path.name}:", structure.notes)
+    reading = room_reading(structure.listed, ElementMeshes({}, {}), name, f"{path.name}:", structure.notes)
     license = license_of(license_path(folder, scan.premises))
     return dataclasses.replace(reading, license=license, room_type=structure.room_type)
 

@@ -49,7 +49,7 @@ class Curve:
     sweeps: tuple[tuple[float, float], ...]
 
 
-class Sheet(Protocol):
+class WallSheet(Protocol):
     """A wall's surface as a part of a plane: x along the wall, y up, z away from it."""
 
     @property
@@ -229,7 +229,7 @@ def _misfit(arc: Arc, joints: Array) -> float:
     return float(gaps.min(axis=1).max())
 
 
-def unrolled_corners(sheet: Sheet, corners: Array, width: float) -> Array:
+def unrolled_corners(sheet: WallSheet, corners: Array, width: float) -> Array:
     """Corners of a wall's outline along its sheet [m], shape (n, 2): those in the plane of the ends are stretched."""
     if isinstance(sheet, Flat):
         return corners[:, :2]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.capture.roomplan.curves import Sheet
+from tasks.capture.roomplan.curves import WallSheet
 from tasks.capture.roomplan.elements import RoomElement
 from tasks.capture.roomplan.surfaces import FLOOR_GRAY, corners_of, flat_part, floor_part, sheets_of
 from tasks.capture.storeys.levels import Levels
@@ -43,7 +43,7 @@ _SLAB_M = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
-class Floor:
+class FloorPart:
     """A floor's surface. field: the element that it comes from."""
 
     part: trimesh.Trimesh
@@ -54,7 +54,7 @@ class Floor:
 class Storeys:
     """Floors of a captured room. levels: of storeys in the +Z-up frame, None if there is one."""
 
-    floors: tuple[Floor, ...]
+    floors: tuple[FloorPart, ...]
     levels: Levels | None
     notes: tuple[str, ...]
 
@@ -69,7 +69,7 @@ def storeys_of(walls: Sequence[RoomElement], floors: Sequence[RoomElement], name
     stated = [floor for floor in floors if _is_floor(floor, name, notes)]
     numbers = _numbers(walls)
     own = _own_floors(walls, numbers, stated)
-    found: list[Floor] = []
+    parts: list[FloorPart] = []
     heights = {}
     for number in sorted({*numbers, *own}):
         members = [k for k, wall_number in enumerate(numbers) if wall_number == number]
@@ -77,7 +77,7 @@ def storeys_of(walls: Sequence[RoomElement], floors: Sequence[RoomElement], name
         bottoms = [float(line[:, 2].min()) for line in lines]
         storey = f"{name}: storey {number}" if len({*numbers, *own}) > 1 else name
         if number in own:
-            found += [Floor(floor_part(floor), floor.field) for floor in own[number]]
+            parts += [FloorPart(floor_part(floor), floor.field) for floor in own[number]]
             heights[number] = min(_height(floor) for floor in own[number])
             notes += _contradictions(storey, own[number], lines, bottoms)
             continue
@@ -85,9 +85,9 @@ def storeys_of(walls: Sequence[RoomElement], floors: Sequence[RoomElement], name
         ground, is_closed = ground_within(lines)
         how = "the ground within its walls" if is_closed else "the convex hull of its walls, which leave gaps"
         notes.append(f"{storey}: floors: none is usable: {how} is taken")
-        found.append(Floor(flat_part(ground, _at_height(heights[number]), FLOOR_GRAY), walls[members[0]].field))
+        parts.append(FloorPart(flat_part(ground, _at_height(heights[number]), FLOOR_GRAY), walls[members[0]].field))
     levels, more = _levels(heights, walls, numbers, name)
-    return Storeys(tuple(found), levels, (*notes, *more))
+    return Storeys(tuple(parts), levels, (*notes, *more))
 
 
 def floor_within(walls: Sequence[RoomElement], name: str = "") -> trimesh.Trimesh:
@@ -185,7 +185,7 @@ def _levels(heights: dict[int, float], walls: Sequence[RoomElement], numbers: Se
     return Levels(tuple(floors), tuple(cuts)), []
 
 
-def _plan_line(wall: RoomElement, sheet: Sheet) -> Array:
+def _plan_line(wall: RoomElement, sheet: WallSheet) -> Array:
     """The lower edge of a wall in the +Z-up frame [m], shape (n, 3)."""
     low = float(corners_of(wall)[:, 1].min())
     seams = sheet.seams

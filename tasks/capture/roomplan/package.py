@@ -13,7 +13,7 @@ from schemas.errors import InputError
 from tasks.capture.files.ply import check_vertices
 from tasks.capture.reading import Reading
 from tasks.capture.roomplan.elements import RoomElement
-from tasks.capture.roomplan.room import Drawn, room_reading
+from tasks.capture.roomplan.room import ElementMeshes, room_reading
 from tasks.geometry.meshes import vertex_colors
 from tasks.geometry.transforms import Y_UP_TO_Z_UP
 from tasks.geometry.triangles import face_normals
@@ -39,7 +39,7 @@ _FILLINGS = {"Door": "doors", "Window": "windows", "Opening": "openings"}
 
 
 @dataclasses.dataclass(frozen=True)
-class _Solid:
+class _PrimMesh:
     """An element with its mesh in the +Z-up frame [m]."""
 
     prim: RoomPrim
@@ -77,7 +77,7 @@ def package_reading(room: RoomModel, license: str | None, name: str, notes: Sequ
             listed["objects"].append(dataclasses.replace(_upright(solid, field), category=solid.label))
             meshes[field] = solid.mesh
     colors = {solid.prim.path: vertex_colors(solid.mesh).mean(axis=0).round().astype(np.uint8) for solid in solids}
-    drawn = Drawn(meshes, colors)
+    drawn = ElementMeshes(meshes, colors)
     reading = room_reading(listed, drawn, name, f"{name}: prim", (*notes, *unit_notes, *more))
     return dataclasses.replace(reading, license=license, is_modelled=True, from_file=change)
 
@@ -106,7 +106,7 @@ def _change(room: RoomModel, name: str) -> tuple[Array, list[str]]:
     return np.diag([unit, unit, unit, 1.0]) @ turn, notes
 
 
-def _solids(room: RoomModel, change: Array, name: str) -> tuple[list[_Solid], list[str]]:
+def _solids(room: RoomModel, change: Array, name: str) -> tuple[list[_PrimMesh], list[str]]:
     """Elements with their meshes, in the order of the file, and notes on prims that are not used."""
     import trimesh
 
@@ -131,13 +131,13 @@ def _solids(room: RoomModel, change: Array, name: str) -> tuple[list[_Solid], li
         mesh: Any = parts[0].copy() if len(parts) == 1 else trimesh.util.concatenate(parts)
         mesh.apply_transform(change)
         check_vertices(np.asarray(mesh.vertices), name)
-        solids.append(_Solid(element, mesh))
+        solids.append(_PrimMesh(element, mesh))
     if skipped:
         notes.append(f"{name}: {MESH}: shows the room of {PARAMETRIC} again: left out")
     return solids, notes
 
 
-def _upright(solid: _Solid, field: str) -> RoomElement:
+def _upright(solid: _PrimMesh, field: str) -> RoomElement:
     """An upright box around an element: x along its longer side, y up."""
     import shapely
 
@@ -159,13 +159,13 @@ def _upright(solid: _Solid, field: str) -> RoomElement:
     return RoomElement(field, solid.label, pose, size, np.zeros((0, 3)), "", field)
 
 
-def _is_box(solid: _Solid, box: RoomElement) -> bool:
+def _is_box(solid: _PrimMesh, box: RoomElement) -> bool:
     """True if a mesh has vertices at the corners of its box alone."""
     local = (np.asarray(solid.mesh.vertices) - box.pose[:3, 3]) @ box.pose[:3, :3]
     return bool((np.abs(np.abs(local) - 0.5 * box.size) <= MAX_CORNER_M).all())
 
 
-def _floor(solid: _Solid, field: str) -> RoomElement:
+def _floor(solid: _PrimMesh, field: str) -> RoomElement:
     """A floor: the outline of what lies level of its mesh, at the height of its upper side."""
     import shapely
 

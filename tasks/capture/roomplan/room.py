@@ -23,14 +23,16 @@ BY_PRIMS = "read as a captured room, by the names of its prims; no frames in the
 
 
 @dataclasses.dataclass(frozen=True)
-class Drawn:
+class ElementMeshes:
     """Meshes that a file has of its elements in the +Z-up frame [m], and colors of all of them, by their fields."""
 
     meshes: Mapping[str, trimesh.Trimesh]
     colors: Mapping[str, NDArray[np.uint8]]
 
 
-def room_reading(listed: Mapping[str, Sequence[RoomElement]], drawn: Drawn, name: str, origin: str, notes: Sequence[str]) -> Reading:
+def room_reading(
+    listed: Mapping[str, Sequence[RoomElement]], drawn: ElementMeshes, name: str, origin: str, notes: Sequence[str]
+) -> Reading:
     """Walls without their openings, floors, doors, windows and objects, each an instance, with the storeys.
 
     Args:
@@ -67,7 +69,7 @@ def room_reading(listed: Mapping[str, Sequence[RoomElement]], drawn: Drawn, name
     )
 
 
-def _own(label: str, field: str, part: trimesh.Trimesh, drawn: Drawn) -> trimesh.Trimesh:
+def _own(label: str, field: str, part: trimesh.Trimesh, drawn: ElementMeshes) -> trimesh.Trimesh:
     """The mesh that a file has of an element, or the part in the color that it has. A floor derived from walls keeps its own."""
     if label != "floor" and field in drawn.meshes:
         return drawn.meshes[field]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from schemas.errors import InputError
 from tasks.capture.files.ply import check_vertices
 from tasks.capture.reading import Group
-from tasks.capture.roomplan.curves import Flat, Sheet, arc_of, unrolled_corners
+from tasks.capture.roomplan.curves import Flat, WallSheet, arc_of, unrolled_corners
 from tasks.capture.roomplan.elements import RoomElement
 from tasks.geometry.meshes import Surface, surface_of
 from tasks.geometry.transforms import inverse, transform_points
@@ -133,11 +133,11 @@ def wall_parts(walls: Sequence[RoomElement], holes: Sequence[RoomElement], name:
     return parts, notes
 
 
-def sheets_of(walls: Sequence[RoomElement], name: str) -> tuple[list[Sheet], list[str]]:
+def sheets_of(walls: Sequence[RoomElement], name: str) -> tuple[list[WallSheet], list[str]]:
     """The surface that each wall lies in, and a note for each that is not flat."""
     flats = [np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]) * wall.size[0] for wall in walls]
     ends = [transform_points(line, wall.pose) for line, wall in zip(flats, walls, strict=True)]
-    sheets: list[Sheet] = []
+    sheets: list[WallSheet] = []
     notes = []
     for row, wall in enumerate(walls):
         if wall.curve is None or wall.size[0] <= 0.0:
@@ -152,7 +152,7 @@ def sheets_of(walls: Sequence[RoomElement], name: str) -> tuple[list[Sheet], lis
     return sheets, notes
 
 
-def _sheet_part(shape: Any, sheet: Sheet, pose: Array) -> trimesh.Trimesh:
+def _sheet_part(shape: Any, sheet: WallSheet, pose: Array) -> trimesh.Trimesh:
     """A part of a wall's sheet in place, as triangles that no seam crosses."""
     import shapely
     import trimesh

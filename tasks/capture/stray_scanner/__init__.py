@@ -102,14 +102,14 @@ def _video_frames(video: Path | None, folder: Path, depths: dict[int, Path]) -> 
     if not is_installed("av"):
         raise missing(name, "PyAV", "frames", f"in its folder: {EXTRACT}")
     step, last = step_of(len(depths)), max(depths)
-    found = unpacked(CODE, video, name, [str(step), str(last)], last + 1)
-    count, stated = int(found.facts.get("count", 0)), int(found.facts.get("stated", 0))
-    colors = {number: path for number in depths if (path := found.folder / f"{number:06d}.jpg").is_file()}
+    recording = unpacked(CODE, video, name, [str(step), str(last)], last + 1)
+    count, stated = int(recording.facts.get("count", 0)), int(recording.facts.get("stated", 0))
+    colors = {number: path for number in depths if (path := recording.folder / f"{number:06d}.jpg").is_file()}
     notes = [f"{name}: every {step}. of {count} frames is used"] if step > 1 else []
     total = stated if stated > 0 else count
     if total != last + 1:
         notes.append(f"{name}: has {total} frames, {DEPTH} has numbers up to {last}: frames are paired by number")
-    return colors, (int(found.facts.get("width", 0)) or 1, int(found.facts.get("height", 0)) or 1), notes
+    return colors, (int(recording.facts.get("width", 0)) or 1, int(recording.facts.get("height", 0)) or 1), notes
 
 
 def _color_name(path: Path, folder: Path) -> str:

@@ -16,9 +16,9 @@ from tasks.geometry.transforms import inverse, matrix, transform_points, yaw_of,
 from tasks.geometry.triangles import face_areas
 from tasks.stage import Context
 from tests.capture_scans import OBJECTS, ROOM
-from tests.tasks.capture.formats import captured_rooms
 from tests.tasks.capture.formats.phones import write_roomplan
 from tests.tasks.capture.formats.written import Array, only_scan, read
+from tests.tasks.capture.phones import captured_rooms
 
 DOOR = (1, 0.3, 0.9, 2.0)
 """In which wall, how far from its middle, width and height [m]."""

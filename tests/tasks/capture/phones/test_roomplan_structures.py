@@ -14,7 +14,8 @@ from tasks.capture.reading import Reading
 from tasks.capture.storeys.splitting import divided, write_divided
 from tasks.geometry.triangles import face_areas
 from tasks.stage import Context
-from tests.tasks.capture.formats.captured_rooms import (
+from tests.tasks.capture.formats.written import only_scan, read
+from tests.tasks.capture.phones.captured_rooms import (
     DEPTH,
     HEIGHT,
     WIDTH,
@@ -27,7 +28,6 @@ from tests.tasks.capture.formats.captured_rooms import (
     walls,
     write,
 )
-from tests.tasks.capture.formats.written import only_scan, read
 
 
 def labels_of(reading: Reading) -> list[str]:

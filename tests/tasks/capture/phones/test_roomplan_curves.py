@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from tasks.capture.roomplan.curves import MAX_SAGITTA_M, Arc, Curve, arc_of
 from tasks.geometry.triangles import face_areas
-from tests.tasks.capture.formats.captured_rooms import (
+from tests.tasks.capture.formats.written import read
+from tests.tasks.capture.phones.captured_rooms import (
     HEIGHT,
     WIDTH,
     Array,
@@ -25,7 +26,6 @@ from tests.tasks.capture.formats.captured_rooms import (
     walls,
     write,
 )
-from tests.tasks.capture.formats.written import read
 
 RADIUS, SWEEP = 2.5, 2 * float(np.arcsin(0.8))
 """Of a bay with a chord of 4 m that is 1 m deep."""

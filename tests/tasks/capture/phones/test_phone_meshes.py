@@ -16,7 +16,7 @@ from tasks.capture.reading import Reading
 from tasks.capture.scan import PassedOver, Scan
 from tasks.geometry.meshes import material_of
 from tasks.stage import Context
-from tests.tasks.capture.formats.phone_meshes import APPS, KINDS, phone_room
+from tests.tasks.capture.phones.phone_meshes import APPS, KINDS, phone_room
 
 ROOM = phone_room()
 

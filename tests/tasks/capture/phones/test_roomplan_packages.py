@@ -15,8 +15,8 @@ from tasks.capture.reading import Reading
 from tasks.geometry.transforms import matrix, transform_points
 from tasks.geometry.triangles import face_areas
 from tasks.stage import Context
-from tests.tasks.capture.formats.room_packages import Box, furnished_room, write_package
 from tests.tasks.capture.formats.written import only_scan, read
+from tests.tasks.capture.phones.room_packages import Box, furnished_room, write_package
 
 LABELS = ["chair", "door", "floor", "table", "wall", "wall", "wall", "wall", "washerDryer", "window"]
 

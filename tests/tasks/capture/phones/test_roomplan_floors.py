@@ -16,7 +16,8 @@ from tasks.capture.roomplan.floors import ground_within
 from tasks.capture.roomplan.surfaces import corners_of
 from tasks.geometry.transforms import transform_points
 from tasks.geometry.triangles import face_areas, face_normals
-from tests.tasks.capture.formats.captured_rooms import (
+from tests.tasks.capture.formats.written import read
+from tests.tasks.capture.phones.captured_rooms import (
     DEPTH,
     HEIGHT,
     WIDTH,
@@ -30,7 +31,6 @@ from tests.tasks.capture.formats.captured_rooms import (
     walls,
     write,
 )
-from tests.tasks.capture.formats.written import read
 
 
 def floor_of(reading: Reading) -> tuple[float, Array, Array]:
