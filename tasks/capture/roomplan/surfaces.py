@@ -143,8 +143,8 @@ def sheets_of(walls: Sequence[RoomElement], name: str) -> tuple[list[WallSheet],
         if wall.curve is None or wall.size[0] <= 0.0:
             sheets.append(Flat(float(wall.size[0])))
             continue
-        others = [line for other, line in enumerate(ends) if other != row]
-        joints = transform_points(np.concatenate(others), inverse(wall.pose))[:, [0, 2]] if others else np.zeros((0, 2))
+        other_ends = [line for other, line in enumerate(ends) if other != row]
+        joints = transform_points(np.concatenate(other_ends), inverse(wall.pose))[:, [0, 2]] if other_ends else np.zeros((0, 2))
         arc, remark = arc_of(wall.curve, float(wall.size[0]), joints)
         sheets.append(arc)
         field = f"{name}: {wall.field}.curve"
