@@ -39,7 +39,7 @@ def _decode(path: Path, folder: Path, step: int, last: int) -> dict[str, int]:
 
     written, count = 0, 0
     # A file object gives the demuxer no path to open anything else by.
-    with open_file(path, path.name, BUDGET.scene_bytes) as file, av.open(file, format="mp4") as container:
+    with open_file(path, path.name, BUDGET.scene_bytes) as file, av.open(file, "r", format="mp4") as container:
         if not container.streams.video:
             raise InputError(path.name, "streams", "has no video", "copy the video again")
         stream = container.streams.video[0]

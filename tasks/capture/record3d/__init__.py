@@ -51,7 +51,8 @@ def read_record3d(scan: Scan) -> Reading:
     Raises:
         InputError: a file is missing or broken, or depth maps are packed.
     """
-    folder, notes = scan.path, []
+    folder = scan.path
+    notes: list[str] = []
     if folder.suffix.lower() == ARCHIVE and folder.is_file():
         folder, notes = _opened(own_file(scan, folder.name))
     unpacked_scan = dataclasses.replace(scan, path=folder, places=(*scan.places, folder) if scan.places else ())
