@@ -57,7 +57,8 @@ def read_stray_scanner(scan: Scan) -> Reading:
     colors, depths, confidences = (_numbered(files, places) for places in (COLOR, (DEPTH,), (CONFIDENCE,)))
     if not depths:
         raise InputError(folder.name, DEPTH, "has no image with a number", "copy the depth images")
-    video_size, notes = None, []
+    video_size: tuple[int, int] | None = None
+    notes: list[str] = []
     if not colors:
         colors, video_size, notes = _video_frames(files.get(VIDEO), folder, depths)
     numbers = sorted(colors.keys() & depths.keys())
