@@ -18,6 +18,9 @@ _POSE_FOLDERS = ("pose", "poses")
 _FLAT = re.compile(r"(?P<key>.*?\d+)[._-](?P<what>color|colour|rgb|depth|pose)\.(?P<suffix>[A-Za-z]+)")
 """Frames side by side in one folder: `frame-000000.color.jpg`, `frame-000000.depth.pgm`, `frame-000000.pose.txt`."""
 
+KEY_FRAMES = ("cameras", "corrected_cameras")
+"""Folders of Polycam's raw data: a camera as JSON for each key frame, next to images and depth. The mesh is the scan."""
+
 _LISTS = (("rgb.txt", "depth.txt"), ("odometry.csv", "camera_matrix.csv"))
 """Lists of TUM RGB-D and of Stray Scanner, next to folders that are called as those of exported frames are."""
 
@@ -94,6 +97,11 @@ def is_framed(folder: Path) -> bool:
     return bool(_paired(folder, None) or _flat(folder, None))
 
 
+def has_key_frames(folder: Path) -> bool:
+    """True if a folder holds the key frames of Polycam's raw data."""
+    return any((folder / name).is_dir() and any((folder / name).glob("*.json")) for name in KEY_FRAMES)
+
+
 def is_frame_name(name: str) -> bool:
     """True if a file has the name of a frame in a flat folder of frames."""
     return _FLAT.fullmatch(name) is not None
@@ -111,7 +119,7 @@ def frame_ids(keys: Iterable[str]) -> list[str]:
 def _paired(place: Path, premises: Premises | None) -> list[FrameFiles]:
     """Frames of folders `color`, `depth`, `pose` (or their usual other names); of links by their names, without premises."""
     color, depth, pose = (_first((place,), names, premises) for names in (_COLOR_FOLDERS, _DEPTH_FOLDERS, _POSE_FOLDERS))
-    if color is None or not color.is_dir() or depth is None or not depth.is_dir():
+    if color is None or not color.is_dir() or depth is None or not depth.is_dir() or has_key_frames(place):
         return []
     colors, depths = _by_stem(color, COLOR_SUFFIXES, premises), _by_stem(depth, DEPTH_SUFFIXES, premises)
     poses = _by_stem(pose, (".txt",), premises) if pose is not None and pose.is_dir() else {}

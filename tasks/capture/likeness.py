@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from schemas.errors import InputError
-from tasks.capture.layout import STOREYS_RECORD, folders_in, is_frame_name, leads_up
+from tasks.capture.layout import STOREYS_RECORD, folders_in, has_key_frames, is_frame_name, leads_up
 from tasks.capture.products import product_of
 from tasks.capture.scan import ScanFormat, matches
 
@@ -32,7 +32,6 @@ CONVERSIONS = {
     "*.partial": DOWNLOADING,
     "*.download": DOWNLOADING,
     "*.crdownload": DOWNLOADING,
-    "*.r3d": "rename it to .zip and unzip it, then it is a recording of Record3D",
     "*.bag": f"export the recording: {_POSED}",
     "*.mkv": f"export the recording: {_POSED}",
     "*.oni": f"export the recording: {_POSED}",
@@ -81,6 +80,8 @@ def likeness(folder: Path, formats: Sequence[ScanFormat]) -> tuple[str, str] | N
     Raises:
         OSError: the folder cannot be read.
     """
+    if has_key_frames(folder):
+        return "has key frames of Polycam, which are not read", "the mesh of the same scan is read: raw.glb, or an export as GLB"
     names = [name.lower() for name in _names(folder)]
     best = _most_like(names, formats)
     if best is not None:

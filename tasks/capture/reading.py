@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.capture.storeys.levels import Levels
 from tasks.geometry.meshes import Surface
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ class Reading:
     from_file: The file's own units and axes to the scan frame, 4x4, where the reader changed them.
     materials: Which of its textures each face of `surface` has, shape (m,) int64, where the scan names no instances and has several.
     is_modelled: Of formats that state surfaces or boxes alone: whether it is boxes, which somebody drew; see `ScanFormat`.
+    levels: Storeys of scans that state them, heights in the scan frame [m]; None to find them in the geometry.
     is_dense: Vertices lie as densely as a depth sensor leaves them, so that they can stand for the surface.
     """
 
@@ -84,6 +86,7 @@ class Reading:
     glb: bytes | None = None
     materials: NDArray[np.int64] | None = None
     from_file: NDArray[np.float64] | None = None
+    levels: Levels | None = None
 
     @property
     def to_original(self) -> NDArray[np.float64]:

@@ -42,7 +42,7 @@ from tasks.capture.scan_mesh import scan_mesh
 from tasks.capture.segmentation.votes import VoteConfig, voted_groups
 from tasks.capture.small_objects.additions import OBJECT as NAMELESS
 from tasks.capture.small_objects.additions import Finder, Instances, SmallObjectsConfig, Unsought, with_small_objects
-from tasks.capture.storeys.levels import StoreyConfig, advice, levels
+from tasks.capture.storeys.levels import StoreyConfig, advice, stated_or_found
 from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import flat
 from tasks.mounting import mounting
@@ -101,7 +101,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     alignment = aligned(reading, surface, meanings, config.votes, is_authored=is_modelled)
     notes += [*alignment.notes, *height_notes(reading.frames, alignment.pose)]
     world = surface.transformed(alignment.pose)
-    notes += advice(levels(world, config.storeys), scan.path)
+    notes += advice(stated_or_found(reading.levels, alignment.pose, world, config.storeys), scan.path)
     groups, probabilities = reading.groups, {}
     if groups is None:
         by_surface = geometry_instances(world, config.segmentation, reading.materials)

@@ -121,13 +121,14 @@ def _of_folder(folder: Path, wanted: Search, depth: int) -> Found:
     if recorded is not None:
         format = _format(recorded, wanted)
         unread, inner = _unread(folder, recorded, wanted), _inner(folder, recorded, wanted)
-        if format.within is None or not (unread or inner):
+        # Of formats that are recordings, the folder itself is the scan, whatever lies in it.
+        if format.within is None or not format.is_modelled or not (unread or inner):
             return [recorded], _not_read(folder, recorded, unread, inner)
     if depth and not wanted.admits(folder):
         return [], [UnusableScan(leaving(folder), folder)]
     parts = {path: (format, name) for format in wanted.wanted if format.within is not None for path, name in format.within(folder)}
     meshes = [path for path in files_named(folder, wanted.suffixes) if path not in parts and not is_junk(path.name)]
-    models = _models(meshes, list(parts))
+    models = _models(meshes, [path for path, (format, _) in parts.items() if format.is_modelled])
     meshes = [path for path in meshes if path not in models]
     written = [path for path in meshes if wanted.admits(path) and is_product(path)]
     meshes = sorted({*meshes} - {*written})
@@ -224,7 +225,7 @@ def _unread(folder: Path, scan: Scan, wanted: Search) -> list[Path]:
     read = _read(scan, wanted) if paths else None
     if read is None:
         return []
-    models = _models(paths, sorted(read)) if format.within is not None else set()
+    models = _models(paths, sorted(read)) if format.is_modelled else set()
     return [path for path in paths if path not in read and path not in models]
 
 

@@ -27,7 +27,7 @@ class Confined:
 
 
 def confined(task: str, path: Path, root: Path, name: str) -> Confined:
-    """What a child makes of a file below `root`. task: `read` or `list`.
+    """What a child makes of a file below `root`. task: `read`, `room` (read with the elements of a captured room) or `list`.
 
     Raises:
         InputError: the file is refused, or its reader takes too much or dies of it.
@@ -35,5 +35,5 @@ def confined(task: str, path: Path, root: Path, name: str) -> Confined:
     with temporary_folder() as folder:
         arguments = [task, str(path.absolute()), str(root.absolute()), str(folder)]
         facts = run_child(CODE, arguments, folder, Limits.of_file(path.stat().st_size), name)
-        model = read_file(folder / MODEL, name, BUDGET.model_bytes) if task == "read" else None
+        model = read_file(folder / MODEL, name, BUDGET.model_bytes) if task != "list" else None
     return Confined(facts, model)

@@ -402,12 +402,14 @@ def capture(format_: str) -> list[Case]:
 def meshes() -> list[Case]:
     """A bare mesh in each kind of file."""
     from tasks.geometry.meshes import Surface
+    from tests.tasks.capture.phones.room_packages import furnished_room, write_package
     from tests.tasks.capture.test_mesh_files import KINDS, written
 
     box = trimesh.creation.box((0.8, 0.6, 0.7))
     surface = Surface(np.asarray(box.vertices), np.asarray(box.faces), np.full((8, 3), 90, np.uint8))
     found = [folder_of(lambda root, kind=kind: written(root, surface, kind)) for kind in KINDS]
-    return [*found, {"room.ply": ply_with_image(surface.vertices, surface.faces), "room.png": _image()}]
+    package = folder_of(lambda root: write_package(root / "Room.usdz", furnished_room()))
+    return [*found, package, {"room.ply": ply_with_image(surface.vertices, surface.faces), "room.png": _image()}]
 
 
 def ply_with_image(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> bytes:

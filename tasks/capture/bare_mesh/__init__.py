@@ -32,8 +32,9 @@ def read_mesh(scan: Scan) -> Reading:
     Raises:
         InputError: the file is broken, larger than the budget, without triangles, or of no size that any unit explains.
     """
+    from tasks.capture.roomplan.package import package_reading
     from tasks.library.obj import OBJ  # which read what this package reads, and so import it
-    from tasks.library.usd import USD
+    from tasks.library.usd import read_room
 
     path = single_file(scan, SUFFIXES)
     name, root = name_of(path, path.parent), path.parent
@@ -47,7 +48,11 @@ def read_mesh(scan: Scan) -> Reading:
         if kind == ".glb":
             parts, notes = models.read_model(path, root, is_z_up=False, limit=BUDGET.scene_bytes, max_offset=MAX_SURVEY_OFFSET)
             return bare_reading(parts, Y_UP, (NO_FRAMES, *notes), license, name)
-        model = (OBJ if kind == ".obj" else USD).read(path, root)
+        if kind == ".usdz":
+            room = read_room(path, root)
+            if room.elements:
+                return package_reading(room, license, name, room.model.notes)
+        model = OBJ.read(path, root) if kind == ".obj" else room.model
     except InputError as error:
         raise InputError(name, error.field, error.problem, error.remedy) from error
     stated = Stated(model.unit_m, model.up or "y", "its file" if model.up else "most of its kind")

@@ -89,8 +89,8 @@ def frame_sources(
         frames.append(
             FrameSource(
                 frame_id=frame_id,
-                color_file=frame.color.relative_to(folder).as_posix(),
-                depth_file=frame.depth.relative_to(folder).as_posix() if frame.depth is not None else None,
+                color_file=_below(frame.color, folder),
+                depth_file=_below(frame.depth, folder) if frame.depth is not None else None,
                 width=size[0],
                 height=size[1],
                 intrinsics=lens,
@@ -103,6 +103,11 @@ def frame_sources(
             )
         )
     return tuple(frames), notes
+
+
+def _below(path: Path, folder: Path) -> str:
+    """A file's path from its folder, or its name if it was unpacked elsewhere."""
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
 
 
 def sens_frames(path: Path, folder: Path) -> tuple[tuple[FrameSource, ...], list[str]]:

@@ -26,7 +26,7 @@ from tasks.capture.multiscan.annotation import AnnotatedObject, objects_of, upri
 from tasks.capture.multiscan.boxes import box_surfaces
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Group, Reading, groups_of_faces
-from tasks.capture.roomplan import NO_SURFACE
+from tasks.capture.roomplan.room import NO_SURFACE
 from tasks.capture.scan import Scan, ScanFormat, license_path, own_file
 from tasks.geometry.meshes import Surface
 

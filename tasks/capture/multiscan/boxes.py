@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from tasks.capture.labels import normalized
 from tasks.capture.multiscan.annotation import AnnotatedObject
 from tasks.capture.roomplan.elements import RoomElement
-from tasks.capture.roomplan.surfaces import Assembly, ElementPart, assembled, box_part, ceiling_part, floor_part, floor_within, wall_parts
+from tasks.capture.roomplan.floors import floor_within
+from tasks.capture.roomplan.surfaces import Assembly, ElementPart, assembled, box_part, ceiling_part, floor_part, wall_parts
 
 LEAVES = ("door", "window", "gate")
 """Last words of what walls have holes for."""
@@ -31,7 +32,9 @@ def box_surfaces(objects: Sequence[AnnotatedObject], turn: NDArray[np.float64], 
     notes = [f"{file}: {entry.field} ({entry.name}): has no box, left out" for entry in objects if entry.box is None]
     walls = [_standing(box) for entry, box in kept if _kind(entry) == "wall"]
     holes = [_standing(box) for entry, box in kept if _kind(entry) in LEAVES]
-    cut = iter(wall_parts(walls, holes, name))
+    cut_walls, wall_notes = wall_parts(walls, holes, name)
+    cut = iter(cut_walls)
+    notes += wall_notes
     elements = []
     for entry, box in kept:
         match _kind(entry):

@@ -1,11 +1,11 @@
-"""Record3D: an unpacked `.r3d` recording: metadata with intrinsics and poses, color images, and depth maps of 32-bit floats.
+"""Record3D: an `.r3d` recording, or its folder: metadata with intrinsics and poses, color images, and depth maps of 32-bit floats.
 
-Written from the public description of the format. Depth maps are packed with LZFSE, for which there is no decoder here: they are read
-once they are unpacked.
+Written from the public description of the format. Depth maps are packed with LZFSE, which the extra `video` decodes.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
+from schemas.files import check_file
 from tasks.capture.consistency.findings import Statements, settled
 from tasks.capture.files.documents import json_floats, license_of, name_of, read_bytes, read_json
 from tasks.capture.files.frames import frame_sources, one_size
@@ -23,17 +25,19 @@ from tasks.capture.files.images import MAX_IMAGE_BYTES, MAX_PIXELS
 from tasks.capture.files.lenses import Intrinsics, of_depth, resized_intrinsics
 from tasks.capture.files.sens import focal_and_center
 from tasks.capture.files.trajectory import Pose
+from tasks.capture.files.unpacked import is_installed, missing, step_of, unpacked
 from tasks.capture.layout import FrameFiles
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
-from tasks.capture.scan import Scan, ScanFormat, leaving, license_path
+from tasks.capture.record3d.archive import CODE, PACKED, frames_in
+from tasks.capture.scan import Scan, ScanFormat, files_named, leaving, license_path, own_file
 from tasks.geometry.transforms import OPENGL_TO_OPENCV, Y_UP_TO_Z_UP, pose_from_quaternion_wxyz
 
 METADATA = ("metadata", "metadata.json")
 PLACE = "rgbd"
 
-PACKED = b"bvx"
-"""How whatever LZFSE has packed begins."""
+ARCHIVE = ".r3d"
+"""Ending of a recording as the app shares it."""
 
 UNPACK = "in its folder: for f in rgbd/*.depth rgbd/*.conf; do lzfse -decode -i $f -o $f.raw && mv $f.raw $f; done"
 
@@ -48,7 +52,11 @@ def read_record3d(scan: Scan) -> Reading:
         InputError: a file is missing or broken, or depth maps are packed.
     """
     folder = scan.path
-    files = {path.relative_to(folder).as_posix(): path for path in _files(scan, scan.premises)}
+    notes: list[str] = []
+    if folder.suffix.lower() == ARCHIVE and folder.is_file():
+        folder, notes = _opened(own_file(scan, folder.name))
+    unpacked_scan = dataclasses.replace(scan, path=folder, places=(*scan.places, folder) if scan.places else ())
+    files = {path.relative_to(folder).as_posix(): path for path in _files(unpacked_scan, unpacked_scan.premises)}
     stated = next((files[name] for name in METADATA if name in files), None)
     if stated is None:
         linked = next((folder / name for name in METADATA if (folder / name).is_symlink()), None)
@@ -66,23 +74,56 @@ def read_record3d(scan: Scan) -> Reading:
         raise InputError(name, "dw", f"is {depth_size[0]} x {depth_size[1]} pixels", "is it the right file?")
     lenses = _lenses(document, name, numbers, size)
     both = [(lens, of_depth(lens, size, depth_size, folder.name)) for lens in lenses]
-    _check_unpacked(frames[0].depth, folder)
+    place = _decoded(frames, folder) if _is_packed(frames[0].depth, folder) else folder
 
     def reader(path: Path) -> Callable[[], NDArray[np.float32]]:
-        return partial(_depth, path, by_number[".conf"].get(int(path.stem)), folder, depth_size)
+        confidence = by_number[".conf"].get(int(path.stem))
+        own = (place / path.relative_to(folder), confidence and place / confidence.relative_to(folder))
+        return partial(_depth, *own, place, depth_size)
 
     poses = _poses(document.get("poses"), name)
     known = [poses[number] if number < len(poses) else None for number in numbers]
-    sources, notes = frame_sources(frames, folder, size, depth_size, both, 1.0, known, {}, reader)
+    sources, more = frame_sources(frames, folder, size, depth_size, both, 1.0, known, {}, reader)
     statements = Statements(name, name, f"{folder.name}/{PLACE}", "OpenGL", has_quaternions=True, from_file=Y_UP_TO_Z_UP)
     sources, findings = settled(sources, statements)
     license = license_of(license_path(folder, scan.premises))
-    return Reading(surface=None, frames=sources, license=license, degradations=(*notes, *findings), from_file=Y_UP_TO_Z_UP)
+    return Reading(surface=None, frames=sources, license=license, degradations=(*notes, *more, *findings), from_file=Y_UP_TO_Z_UP)
 
 
-def _check_unpacked(path: Path | None, folder: Path) -> None:
-    if path is not None and read_bytes(path, name_of(path, folder), MAX_IMAGE_BYTES)[:3] == PACKED:
-        raise InputError(name_of(path, folder), "content", "is packed with LZFSE, for which there is no decoder here", UNPACK)
+def _opened(path: Path) -> tuple[Path, list[str]]:
+    """The unpacked folder of an archive, and a note on frames that are left out.
+
+    Raises:
+        InputError: it is not an archive, is larger than the budget, or its depth is packed and LZFSE is not installed.
+    """
+    if not is_installed("lzfse"):
+        raise missing(path.name, "lzfse", "depth", f"rename it to .zip and unzip it, then {UNPACK}")
+    check_file(path, path.name, BUDGET.scene_bytes)
+    count = frames_in(path, path.name)
+    step = step_of(count)
+    recording = unpacked(CODE, path, path.name, [str(step)], count)
+    notes = [f"{path.name}: every {step}. of {count} frames is used"] if step > 1 else []
+    # Messages name the folder of the files: it gets the name of the recording.
+    folder = recording.folder / path.stem
+    if not folder.is_dir():
+        (recording.folder / "recording").rename(folder)
+    return folder, notes
+
+
+def _decoded(frames: Sequence[FrameFiles], folder: Path) -> Path:
+    """A folder with the depth and confidence of a recording whose files are packed.
+
+    Raises:
+        InputError: LZFSE is not installed, or a file cannot be decoded.
+    """
+    name = name_of(frames[0].depth or folder, folder)
+    if not is_installed("lzfse"):
+        raise missing(name, "lzfse", "content", UNPACK)
+    return unpacked(CODE, folder, name, ["1"], len(frames)).folder / "recording"
+
+
+def _is_packed(path: Path | None, folder: Path) -> bool:
+    return path is not None and read_bytes(path, name_of(path, folder), MAX_IMAGE_BYTES)[:3] == PACKED
 
 
 def _depth(path: Path, confidence: Path | None, folder: Path, size: tuple[int, int]) -> NDArray[np.float32]:
@@ -96,7 +137,6 @@ def _depth(path: Path, confidence: Path | None, folder: Path, size: tuple[int, i
 
 def _map(path: Path, folder: Path, size: tuple[int, int], kind: np.dtype[Any]) -> NDArray[Any]:
     name = name_of(path, folder)
-    _check_unpacked(path, folder)
     data = read_bytes(path, name, MAX_IMAGE_BYTES)
     if len(data) != size[0] * size[1] * kind.itemsize:
         raise InputError(name, "content", f"has {len(data)} bytes, {size[0]} x {size[1]} values expected", "unzip the .r3d file again")
@@ -156,6 +196,8 @@ def _recognize(folder: Path) -> str | None:
 
 
 def _files(scan: Scan, premises: Premises) -> list[Path]:
+    if scan.path.suffix.lower() == ARCHIVE and not scan.path.is_dir():
+        return [scan.path] if scan.path.is_file() and premises.admits(scan.path) else []
     folder = scan.folder
     files = [folder / name for name in METADATA]
     if (folder / PLACE).is_dir() and premises.admits(folder / PLACE):
@@ -166,10 +208,11 @@ def _files(scan: Scan, premises: Premises) -> list[Path]:
 RECORD3D = ScanFormat(
     name="record3d",
     dataset="record3d",
-    expected=f"an unzipped .r3d: {METADATA[0]} and {PLACE}/ with N.jpg and N.depth",
+    expected=f"an {ARCHIVE} file, or {METADATA[0]} and {PLACE}/ with N.jpg and N.depth",
     recognize=_recognize,
-    is_recorded=lambda folder: _recognize(folder) is not None,
+    is_recorded=lambda folder: _recognize(folder) is not None or bool(files_named(folder, (ARCHIVE,))),
     files=_files,
     read=read_record3d,
     signs=(METADATA[0], f"{PLACE}/*.jpg", f"{PLACE}/*.depth"),
+    within=lambda folder: [(path, path.stem) for path in files_named(folder, (ARCHIVE,))],
 )

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.files.documents import json_floats, plain_text
-from tasks.geometry.transforms import Y_UP_TO_Z_UP, is_rigid, nearest_rigid
+from tasks.capture.roomplan.curves import Curve, curve_of
+from tasks.geometry.transforms import Y_UP_TO_Z_UP, inverse, is_rigid, nearest_rigid, transform_points
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 LARGEST_M = 200.0
 """Larger than any room, and than any building that is scanned by hand."""
+
+MAX_BEND_M = 0.05
+"""Distance of corners from their plane, and of their extents from the stated size: RoomPlan's own error on walls."""
+
+MAX_STOREYS = 100
+"""Numbers of storeys below and above the first."""
+
+_THIN_M = 0.005
+"""Extent of a surface along its normal: RoomPlan states 0."""
 
 _AGAIN = "export the room again"
 
@@ -24,7 +36,8 @@ _AGAIN = "export the room again"
 class RoomElement:
     """An element. pose: Its own frame (x along its width, y along its height, z its normal or depth) to the +Z-up frame, 4x4 [m].
     size: Width, height and depth [m], shape (3,). corners: Of its outline in its own frame [m], shape (n, 3), none where it is its
-    rectangle. parent: Identifier of the wall that it is in. field: Where it stands in the file."""
+    rectangle. parent: Identifier of the wall that it is in. field: Where it stands in the file. curve: Of a wall that is not flat.
+    story: Number of its storey, None where the file states none."""
 
     identifier: str
     category: str
@@ -33,6 +46,8 @@ class RoomElement:
     corners: Array
     parent: str
     field: str
+    curve: Curve | None = None
+    story: int | None = None
 
 
 def elements_of(value: Any, name: str, kind: str) -> tuple[list[RoomElement], list[str]]:
@@ -48,11 +63,88 @@ def elements_of(value: Any, name: str, kind: str) -> tuple[list[RoomElement], li
     elements: list[RoomElement] = []
     notes: list[str] = []
     for index, entry in enumerate(value):
+        field = f"{kind}[{index}]"
         try:
-            elements.append(_element(entry, name, f"{kind}[{index}]"))
+            element = _element(entry, name, field)
         except InputError as error:
             notes.append(f"{error.file}: {error.field}: {error.problem}: left out")
+            continue
+        # A wrong detail costs the detail, not the element.
+        story, story_note = _detail(_story, entry.get("story"), name, f"{field}.story", "not used")
+        has_curve = kind == "walls"
+        curve, curve_note = _detail(curve_of, entry.get("curve") if has_curve else None, name, f"{field}.curve", "the wall is flat")
+        element = dataclasses.replace(element, story=story, curve=curve)
+        notes += [*story_note, *curve_note]
+        # The frame of an arc is the one that its curve is stated in.
+        if kind != "objects" and curve is None:
+            element, remark = in_plane(element)
+            notes += [f"{name}: {remark}"] if remark else []
+        elements.append(element)
     return elements, notes
+
+
+def _detail(read: Callable[[Any, str, str], T], value: Any, name: str, field: str, effect: str) -> tuple[T | None, list[str]]:
+    """A detail of an element, None with a note if it is wrong."""
+    try:
+        return read(value, name, field), []
+    except InputError as error:
+        return None, [f"{error.file}: {error.field}: {error.problem}: {effect}"]
+
+
+def in_plane(element: RoomElement) -> tuple[RoomElement, str]:
+    """A surface in a frame whose z axis is its normal, and a remark on contradictions, '' without any.
+
+    Corners may lie in any plane of the element's own frame. Without corners, the axis of no extent is the normal.
+    """
+    field, corners = element.field, element.corners
+    if len(corners) < 3:
+        return _turned_to(element, _thin_axis(element.size)), ""
+    area = 0.5 * np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
+    norm = float(np.linalg.norm(area))
+    if norm < 1e-9:
+        plain = dataclasses.replace(element, corners=corners[:0])
+        return _turned_to(plain, _thin_axis(element.size)), f"{field}.polygonCorners: have no area: dimensions are used"
+    normal = area / norm
+    normal = normal * (1.0 if normal[np.abs(normal).argmax()] > 0 else -1.0)
+    turned = _turned_to(element, normal)
+    offset = turned.corners[:, 2]
+    if float(np.ptp(offset)) > 2.0 * MAX_BEND_M:
+        remark = f"{field}.polygonCorners: lie up to {float(np.ptp(offset)):.2f} m out of a plane: read as flat"
+    else:
+        extents, stated = np.ptp(turned.corners[:, :2], axis=0), turned.size[:2]
+        differs = (np.abs(extents - stated) > np.maximum(MAX_BEND_M, 0.05 * stated)).any()
+        spans = " x ".join(f"{value:.2f}" for value in extents)
+        sizes = " x ".join(f"{value:.2f}" for value in stated)
+        remark = f"{field}: corners span {spans} m, dimensions state {sizes} m: the corners are used" if differs else ""
+        turned = dataclasses.replace(turned, size=np.append(np.maximum(extents, stated), turned.size[2])) if differs else turned
+    return turned, remark
+
+
+def _thin_axis(size: Array) -> Array:
+    """The axis along which a surface has no extent: z, unless another one alone has none."""
+    axis = int(size.argmin()) if size[2] > _THIN_M and size.min() <= _THIN_M else 2
+    return np.eye(3)[axis]
+
+
+def _turned_to(element: RoomElement, normal: Array) -> RoomElement:
+    """An element in a frame whose z axis is a direction of its own frame, with its corners about z = 0."""
+    middle = float((element.corners @ normal).mean()) if len(element.corners) else 0.0
+    turn = np.eye(4)
+    if normal[2] < 1.0 - 1e-12:
+        across = np.eye(3)[0] if abs(normal[0]) < 0.9 else np.array([0.0, 0.0, -1.0])
+        x = across - normal * float(across @ normal)
+        x /= np.linalg.norm(x)
+        turn[:3, :3] = np.column_stack([x, np.cross(normal, x), normal])
+    elif abs(middle) < 1e-9:
+        return element
+    turn[:3, 3] = normal * middle
+    back = inverse(turn)
+    return dataclasses.replace(
+        element,
+        pose=element.pose @ turn,
+        size=np.abs(turn[:3, :3].T) @ element.size,
+        corners=transform_points(element.corners, back) if len(element.corners) else element.corners,
+    )
 
 
 def _element(entry: Any, name: str, field: str) -> RoomElement:
@@ -77,6 +169,19 @@ def _element(entry: Any, name: str, field: str) -> RoomElement:
         parent=_text(entry.get("parentIdentifier")),
         field=field,
     )
+
+
+def _story(value: Any, name: str, field: str) -> int | None:
+    """Number of a storey, None where there is none."""
+    if value is None:
+        return None
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise InputError(name, field, "must be a whole number", _AGAIN)
+    if abs(value) > MAX_STOREYS:
+        raise InputError(name, field, f"must be at most {MAX_STOREYS}", _AGAIN)
+    return value
 
 
 def _category(value: Any) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from schemas.errors import InputError
 from tasks.capture.files.ply import check_vertices
 from tasks.capture.reading import Group
+from tasks.capture.roomplan.curves import Flat, WallSheet, arc_of, unrolled_corners
 from tasks.capture.roomplan.elements import RoomElement
 from tasks.geometry.meshes import Surface, surface_of
 from tasks.geometry.transforms import inverse, transform_points
@@ -85,51 +87,101 @@ def assembled(elements: Sequence[ElementPart], name: str, list_of: str, remedy: 
     return Assembly(surface, parts, tuple(groups), notes)
 
 
-def wall_parts(walls: Sequence[RoomElement], holes: Sequence[RoomElement], name: str) -> list[trimesh.Trimesh]:
-    """Walls without the doors, windows and openings in them, in their order, in the +Z-up frame [m]. name: What errors call the file.
+def wall_parts(walls: Sequence[RoomElement], holes: Sequence[RoomElement], name: str) -> tuple[list[trimesh.Trimesh], list[str]]:
+    """Walls without the doors, windows and openings in them, in their order, in the +Z-up frame [m], and notes on contradictions.
+
+    A hole is in the wall that it names. One that names no wall, or a wall that is elsewhere, is in those that it lies in.
+
+    name: The file, for errors and notes.
 
     Raises:
         InputError: a hole lies in more walls than there are in a place.
     """
     import shapely
 
-    middles = np.array([transform_points(_corners(hole), hole.pose).mean(axis=0) for hole in holes]).reshape(-1, 3)
-    parents = np.array([hole.parent or "" for hole in holes], dtype=object)
-    parts, counts = [], np.zeros(len(holes), dtype=np.int64)
-    for wall in walls:
-        middle = transform_points(middles, inverse(wall.pose))
-        is_in = (np.abs(middle[:, 2]) < BESIDE_M) & (np.abs(middle[:, :2]) <= 0.5 * wall.size[:2]).all(axis=1)
+    sheets, _ = sheets_of(walls, name)
+    notes: list[str] = []
+    middles = np.array([transform_points(corners_of(hole), hole.pose).mean(axis=0) for hole in holes]).reshape(-1, 3)
+    is_near = np.zeros((len(walls), len(holes)), dtype=bool)
+    is_parent = np.zeros_like(is_near)
+    for row, (wall, sheet) in enumerate(zip(walls, sheets, strict=True)):
+        middle = sheet.unroll(transform_points(middles, inverse(wall.pose)))
+        is_along = (middle[:, 0] >= sheet.seams[0]) & (middle[:, 0] <= sheet.seams[-1])
+        is_near[row] = (np.abs(middle[:, 2]) < BESIDE_M) & is_along & (np.abs(middle[:, 1]) <= 0.5 * wall.size[1])
         if wall.identifier:
-            is_in = np.where(parents == "", is_in, parents == wall.identifier)
-        counts += is_in
-        if (counts > _MOST_WALLS).any():
-            crowded = holes[int(counts.argmax())].field
-            raise InputError(name, crowded, f"lies in more than {_MOST_WALLS} walls", "is the same wall listed again and again?")
-        shape = _outline(wall)
-        if is_in.any():
-            shape = shape.difference(shapely.union_all([_rectangle(_in_frame(holes[k], wall)) for k in np.flatnonzero(is_in).tolist()]))
-        parts.append(_flat_part(shape, wall.pose, GRAY))
-    return parts
+            is_parent[row] = [hole.parent == wall.identifier for hole in holes]
+    is_in = is_near.copy()
+    for column, hole in enumerate(holes):
+        if is_parent[:, column].any() and (is_parent & is_near)[:, column].any():
+            is_in[:, column] = is_parent[:, column]
+        elif hole.parent and is_near[:, column].any():
+            named = "a wall that it does not lie in" if is_parent[:, column].any() else "a wall that is not listed"
+            notes.append(f"{name}: {hole.field}.parentIdentifier: names {named}: its place decides")
+        elif not is_near[:, column].any():
+            notes.append(f"{name}: {hole.field}: lies in no wall")
+    counts = is_in.sum(axis=0)
+    if (counts > _MOST_WALLS).any():
+        crowded = holes[int(counts.argmax())].field
+        raise InputError(name, crowded, f"lies in more than {_MOST_WALLS} walls", "is the same wall listed again and again?")
+    parts = []
+    for row, (wall, sheet) in enumerate(zip(walls, sheets, strict=True)):
+        shape = shapely.make_valid(shapely.Polygon(unrolled_corners(sheet, corners_of(wall), float(wall.size[0]))))
+        if is_in[row].any():
+            own = [_rectangle(sheet.unroll(_in_frame(holes[k], wall))) for k in np.flatnonzero(is_in[row]).tolist()]
+            shape = shape.difference(shapely.union_all(own))
+        parts.append(_sheet_part(shape, sheet, wall.pose))
+    return parts, notes
+
+
+def sheets_of(walls: Sequence[RoomElement], name: str) -> tuple[list[WallSheet], list[str]]:
+    """The surface that each wall lies in, and a note for each that is not flat."""
+    flats = [np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]) * wall.size[0] for wall in walls]
+    ends = [transform_points(line, wall.pose) for line, wall in zip(flats, walls, strict=True)]
+    sheets: list[WallSheet] = []
+    notes = []
+    for row, wall in enumerate(walls):
+        if wall.curve is None or wall.size[0] <= 0.0:
+            sheets.append(Flat(float(wall.size[0])))
+            continue
+        other_ends = [line for other, line in enumerate(ends) if other != row]
+        joints = transform_points(np.concatenate(other_ends), inverse(wall.pose))[:, [0, 2]] if other_ends else np.zeros((0, 2))
+        arc, remark = arc_of(wall.curve, float(wall.size[0]), joints)
+        sheets.append(arc)
+        field = f"{name}: {wall.field}.curve"
+        notes.append(f"{field}: an arc of {arc.radius:.2f} m radius becomes {arc.chords} flat pieces{f'; {remark}' if remark else ''}")
+    return sheets, notes
+
+
+def _sheet_part(shape: Any, sheet: WallSheet, pose: Array) -> trimesh.Trimesh:
+    """A part of a wall's sheet in place, as triangles that no seam crosses."""
+    import shapely
+    import trimesh
+
+    seams = sheet.seams
+    if len(seams) == 2:
+        return flat_part(shape, pose, GRAY)
+    _, low, _, high = shape.bounds if not shape.is_empty else (0.0, 0.0, 0.0, 0.0)
+    pieces = [shape.intersection(shapely.box(a, low, b, high)) for a, b in itertools.pairwise(seams)]
+    flat = [part for part in (flat_part(piece, np.eye(4), GRAY) for piece in pieces) if len(part.faces)]
+    if not flat:
+        return trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    for part in flat:
+        part.vertices = transform_points(sheet.roll(np.asarray(part.vertices)), pose)
+    whole: Any = trimesh.util.concatenate(flat)
+    return cast("trimesh.Trimesh", whole)
 
 
 def ceiling_part(ceiling: RoomElement) -> trimesh.Trimesh:
     """A ceiling with its outline, of plaster like walls, in the +Z-up frame [m]."""
-    return _flat_part(_outline(ceiling), ceiling.pose, GRAY)
+    return flat_part(_outline(ceiling), ceiling.pose, GRAY)
 
 
 def floor_part(floor: RoomElement) -> trimesh.Trimesh:
-    """A floor with its outline."""
-    return _flat_part(_outline(floor), floor.pose, FLOOR_GRAY)
-
-
-def floor_within(walls: Sequence[RoomElement]) -> trimesh.Trimesh:
-    """A floor within the lower edges of walls: their convex hull, at the height of the lowest."""
-    import shapely
-
-    corners = np.concatenate([transform_points(_corners(wall), wall.pose) for wall in walls])
-    pose = np.eye(4)
-    pose[2, 3] = corners[:, 2].min()
-    return _flat_part(shapely.MultiPoint(corners[:, :2]).convex_hull, pose, FLOOR_GRAY)
+    """A floor with its outline, looking up."""
+    part = flat_part(_outline(floor), floor.pose, FLOOR_GRAY)
+    if floor.pose[2, 2] < 0.0:
+        part.invert()
+    return part
 
 
 def panel_part(element: RoomElement) -> trimesh.Trimesh:
@@ -150,7 +202,7 @@ def _box(element: RoomElement, size: Array) -> trimesh.Trimesh:
     return _colored(part, OBJECT_GRAY)
 
 
-def _corners(element: RoomElement) -> Array:
+def corners_of(element: RoomElement) -> Array:
     """Corners in the element's own frame [m], shape (n, 3)."""
     if len(element.corners) >= 3:
         return element.corners
@@ -162,12 +214,12 @@ def _outline(element: RoomElement) -> Any:
     """An element's outline in the plane that it lies in; outlines that cross themselves are mended."""
     import shapely
 
-    return shapely.make_valid(shapely.Polygon(_corners(element)[:, :2]))
+    return shapely.make_valid(shapely.Polygon(corners_of(element)[:, :2]))
 
 
 def _in_frame(hole: RoomElement, wall: RoomElement) -> Array:
     """Corners of a hole in a wall's frame [m], shape (n, 3)."""
-    return transform_points(transform_points(_corners(hole), hole.pose), inverse(wall.pose))
+    return transform_points(transform_points(corners_of(hole), hole.pose), inverse(wall.pose))
 
 
 def _rectangle(corners: Array) -> Any:
@@ -176,7 +228,7 @@ def _rectangle(corners: Array) -> Any:
     return shapely.box(*corners[:, :2].min(axis=0), *corners[:, :2].max(axis=0))
 
 
-def _flat_part(shape: shapely.Geometry, pose: Array, color: tuple[int, int, int]) -> trimesh.Trimesh:
+def flat_part(shape: shapely.Geometry, pose: Array, color: tuple[int, int, int]) -> trimesh.Trimesh:
     """A part of a plane, shape in its x and y [m], as triangles that `pose` puts in place."""
     import shapely
     import trimesh

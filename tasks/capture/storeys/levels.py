@@ -45,6 +45,10 @@ class Levels:
         """The storey that a height [m] is in, shape (k,)."""
         return np.searchsorted(np.array(self.cuts), height, side="right").astype(np.int64)
 
+    def raised(self, by: float) -> Levels:
+        """The same storeys in a frame whose heights are larger by some meters."""
+        return Levels(tuple(height + by for height in self.floors), tuple(height + by for height in self.cuts))
+
 
 ONE = Levels((0.0,), ())
 """What is not high enough for two."""
@@ -109,6 +113,11 @@ class _Plan:
     def area(self, cells: Mask) -> float:
         """Area of cells [m2]."""
         return float(cells.sum()) * _CELL_M**2
+
+
+def stated_or_found(stated: Levels | None, pose: Array, world: Surface, config: StoreyConfig) -> Levels:
+    """The storeys of a scan in its leveled frame. stated: by the scan, in its own frame. pose: scan to leveled frame, 4x4 [m]."""
+    return levels(world, config) if stated is None else stated.raised(float(pose[2, 3]))
 
 
 def levels(surface: Surface, config: StoreyConfig) -> Levels:

@@ -18,7 +18,7 @@ from tasks.capture.poses.provider import with_poses
 from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan
 from tasks.capture.storeys.folder import is_of_one_lens, layout_of, write_storey
-from tasks.capture.storeys.levels import Levels, levels
+from tasks.capture.storeys.levels import Levels, stated_or_found
 from tasks.capture.storeys.pieces import Storey, storeys_of
 from tasks.geometry.transforms import translation
 
@@ -70,7 +70,7 @@ def divided(scan: Scan, config: CaptureConfig) -> Divided:
         surface, more = fused_surface(reading.frames, config.fusion, scan.path.name)
         notes = [*notes, *more]
     pose = aligned(reading, surface, meanings, config.votes, is_authored=is_modelled).pose
-    parted = levels(surface.transformed(pose), config.storeys)
+    parted = stated_or_found(reading.levels, pose, surface.transformed(pose), config.storeys)
     storeys = storeys_of(reading, meanings, pose, parted) if parted.cuts else ()
     lost = len(reading.frames) - sum(len(storey.reading.frames) for storey in storeys)
     if storeys and lost:

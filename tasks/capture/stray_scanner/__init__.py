@@ -1,4 +1,4 @@
-"""Stray Scanner: depth images with their confidence, an odometry, and the frames of its video once they are images.
+"""Stray Scanner: depth images with their confidence, an odometry, and the frames of its video, as images or unpacked with PyAV.
 
 Written from the public description of the format.
 """
@@ -6,6 +6,7 @@ Written from the public description of the format.
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import re
 from collections.abc import Callable
@@ -23,6 +24,8 @@ from tasks.capture.files.images import COLOR_SUFFIXES, image_size, read_depth
 from tasks.capture.files.lenses import DEPTH_SCALE, Intrinsics, matrix_intrinsics, of_depth
 from tasks.capture.files.sens import focal_and_center
 from tasks.capture.files.trajectory import Pose
+from tasks.capture.files.unpacked import is_installed, missing, step_of, unpacked
+from tasks.capture.files.video import CODE
 from tasks.capture.layout import FrameFiles
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
@@ -44,7 +47,7 @@ def read_stray_scanner(scan: Scan) -> Reading:
     """Frames of color and depth by their numbers, with the poses of the odometry.
 
     Raises:
-        InputError: a file is missing or broken, or the video's frames are no images yet.
+        InputError: a file is missing or broken, or the video's frames are not images and PyAV is not installed.
     """
     folder = scan.path
     files = {path.relative_to(folder).as_posix(): path for path in _files(scan, scan.premises)}
@@ -52,22 +55,23 @@ def read_stray_scanner(scan: Scan) -> Reading:
         if name not in files:
             raise leaving(folder / name) if (folder / name).is_symlink() else InputError(folder.name, name, "is missing", "copy it")
     colors, depths, confidences = (_numbered(files, places) for places in (COLOR, (DEPTH,), (CONFIDENCE,)))
-    if not colors:
-        raise InputError(f"{folder.name}/{VIDEO}", "frames", "a video is not read, its frames as images are", f"in its folder: {EXTRACT}")
     if not depths:
         raise InputError(folder.name, DEPTH, "has no image with a number", "copy the depth images")
+    video_size: tuple[int, int] | None = None
+    notes: list[str] = []
+    if not colors:
+        colors, video_size, notes = _video_frames(files.get(VIDEO), folder, depths)
     numbers = sorted(colors.keys() & depths.keys())
     if not numbers:
         raise InputError(folder.name, "frames", "no color image has the number of a depth image", f"in its folder: {EXTRACT}")
     frames = [FrameFiles(str(number), colors[number], depths[number], None) for number in numbers]
-    size = one_size([(frame.color, name_of(frame.color, folder)) for frame in frames], "color")
+    size = one_size([(frame.color, _color_name(frame.color, folder)) for frame in frames], "color")
     depth_size = one_size([(depths[number], name_of(depths[number], folder)) for number in numbers], "depth")
     lens = matrix_intrinsics(read_text(files[CAMERA], name_of(files[CAMERA], folder)), name_of(files[CAMERA], folder))
     rows = _odometry(files[ODOMETRY], name_of(files[ODOMETRY], folder), lens)
-    scale = _scale(lens, size)
+    scale = _scale(lens, size) if video_size is None else size[0] / video_size[0]
     lenses = [_resized(rows[number][1] if number in rows else lens, scale) for number in numbers]
     both = [(own, of_depth(own, size, depth_size, folder.name)) for own in lenses]
-    notes = []
     if len(numbers) < len(depths):
         notes.append(f"{len(depths) - len(numbers)} of {len(depths)} depth images have no color image: left out")
 
@@ -77,11 +81,41 @@ def read_stray_scanner(scan: Scan) -> Reading:
 
     poses: list[Pose | None] = [rows[number][0] if number in rows else None for number in numbers]
     sources, more = frame_sources(frames, folder, size, depth_size, both, DEPTH_SCALE, poses, {}, reader)
+    if video_size is not None:
+        named = zip(sources, numbers, strict=True)
+        sources = tuple(dataclasses.replace(source, color_file=f"{VIDEO}#{number}") for source, number in named)
     odometry, camera = (name_of(files[name], folder) for name in (ODOMETRY, CAMERA))
     statements = Statements(odometry, camera, f"{folder.name}/{DEPTH}", has_quaternions=True, from_file=Y_UP_TO_Z_UP)
     sources, findings = settled(sources, statements)
     license = license_of(license_path(folder, scan.premises))
     return Reading(surface=None, frames=sources, license=license, degradations=(*notes, *more, *findings), from_file=Y_UP_TO_Z_UP)
+
+
+def _video_frames(video: Path | None, folder: Path, depths: dict[int, Path]) -> tuple[dict[int, Path], tuple[int, int], list[str]]:
+    """Images of the video by their numbers, its size [px], and notes on frames that are left out or missing.
+
+    Raises:
+        InputError: there is no video, PyAV is not installed, or the video cannot be decoded.
+    """
+    name = f"{folder.name}/{VIDEO}"
+    if video is None:
+        raise InputError(name, "frames", "is missing, and there are no images", "copy the video, or its frames as images into rgb/")
+    if not is_installed("av"):
+        raise missing(name, "PyAV", "frames", f"in its folder: {EXTRACT}")
+    step, last = step_of(len(depths)), max(depths)
+    recording = unpacked(CODE, video, name, [str(step), str(last)], last + 1)
+    count, stated = int(recording.facts.get("count", 0)), int(recording.facts.get("stated", 0))
+    colors = {number: path for number in depths if (path := recording.folder / f"{number:06d}.jpg").is_file()}
+    notes = [f"{name}: every {step}. of {count} frames is used"] if step > 1 else []
+    total = stated if stated > 0 else count
+    if total != last + 1:
+        notes.append(f"{name}: has {total} frames, {DEPTH} has numbers up to {last}: frames are paired by number")
+    return colors, (int(recording.facts.get("width", 0)) or 1, int(recording.facts.get("height", 0)) or 1), notes
+
+
+def _color_name(path: Path, folder: Path) -> str:
+    """A color image as errors name it: its own name, or its number in the video."""
+    return name_of(path, folder) if path.is_relative_to(folder) else f"{folder.name}/{VIDEO}#{int(path.stem)}"
 
 
 def _depth(path: Path, confidence: Path | None, folder: Path, size: tuple[int, int]) -> NDArray[np.float32]:
@@ -158,13 +192,15 @@ def _files(scan: Scan, premises: Premises) -> list[Path]:
     for name in (*COLOR, DEPTH, CONFIDENCE):
         if (folder / name).is_dir() and premises.admits(folder / name):
             files += [path for path in sorted((folder / name).iterdir()) if path.suffix.lower() in COLOR_SUFFIXES]
+    if not any(path.parent.name in COLOR for path in files):
+        files.append(folder / VIDEO)
     return [path for path in files if path.is_file() and premises.admits(path)]
 
 
 STRAY_SCANNER = ScanFormat(
     name="stray_scanner",
     dataset="stray_scanner",
-    expected=f"{ODOMETRY}, {CAMERA}, {DEPTH}/ and the frames of {VIDEO} in rgb/",
+    expected=f"{ODOMETRY}, {CAMERA}, {DEPTH}/ and {VIDEO}, or its frames in rgb/",
     recognize=_recognize,
     is_recorded=lambda folder: _recognize(folder) is not None,
     files=_files,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import sys
 import zipfile
@@ -39,9 +40,14 @@ def main() -> None:
         from tasks.library.usd.stage import Flattened
 
         refuse_large_stage(path)
-        flat = Flattened(path, root)
-        (folder / MODEL).write_bytes(dump_glb(flat.parts()))
-        answer(folder, {"unit_m": flat.unit_m, "up": flat.up, "notes": [*notes, *flat.notes]})
+        flat = Flattened(path, root, rooms=task == "room")
+        parts = flat.parts()
+        (folder / MODEL).write_bytes(dump_glb(parts))
+        facts: dict[str, Any] = {"unit_m": flat.unit_m, "up": flat.up, "notes": [*notes, *flat.notes]}
+        if flat.elements:
+            facts["elements"] = [dataclasses.astuple(element) for element in flat.elements]
+            facts["part_elements"] = flat.part_elements
+        answer(folder, facts)
     except InputError as error:
         answer(folder, {"refused": [error.field, error.problem, error.remedy]})
     except MemoryError:

@@ -17,6 +17,7 @@ from schemas.files import is_there, read_file, stays_in
 from tasks.geometry.colors import bytes_of_linear, display_of
 from tasks.library.format import MOST_FACES
 from tasks.library.usd.looks import display_colors, is_see_through, look_of, uv_of
+from tasks.library.usd.rooms import RoomPrim, is_room, room_prim
 from tasks.library.usd.shapes import polygons_of, subsets
 from tasks.unpacking import image_pixels
 
@@ -34,12 +35,13 @@ class Flattened:
     """What is drawn of a stage, in its units and axes.
 
     unit_m, up: Metres per unit [m] and the axis that points up, where the file states them. notes: What was left out, a line each.
+    elements: of a captured room, if `rooms` asks for them and the file is one; parts are then those of one element each.
 
     Raises:
         InputError: it is broken or larger than the budget.
     """
 
-    def __init__(self, path: Path, root: Path) -> None:
+    def __init__(self, path: Path, root: Path, rooms: bool = False) -> None:
         from pxr import Usd, UsdGeom
 
         stage = Usd.Stage.Open(str(path))
@@ -51,8 +53,11 @@ class Flattened:
         self.notes: list[str] = []
         self._root, self._name = root, path.name
         self._places = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
-        self._plain: list[tuple[Array, Integers, NDArray[np.uint8]]] = []
-        self._textured: dict[tuple[Path, tuple[float, ...], bool], list[tuple[Array, Integers, Array]]] = {}
+        self.elements: list[RoomPrim] = []
+        self.part_elements: list[int] = []
+        self._rooms, self._numbers, self._unnamed = rooms, dict[str, int](), set[str]()
+        self._plain: dict[int, list[tuple[Array, Integers, NDArray[np.uint8]]]] = {}
+        self._textured: dict[tuple[int, Path, tuple[float, ...], bool], list[tuple[Array, Integers, Array]]] = {}
         self._faces = self._prims = self._see_through = 0
         # Count first: geometry takes longer than a refusal.
         prims = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
@@ -61,9 +66,13 @@ class Flattened:
         self._add(stage.GetPseudoRoot(), np.eye(4)[None], np.eye(4))
         if self._see_through:
             self.notes.append(f"meshes that let light through are read as solid: {self._see_through}")
+        if rooms and not is_room(self.elements, len(self._unnamed)):
+            self._forget_elements()
 
     def parts(self) -> list[trimesh.Trimesh]:
-        """One part of all that has colors alone, and one for every texture.
+        """One part of all that has colors alone, and one for every texture; of a captured room, those of each element.
+
+        `part_elements` then names the element of each part, -1 for none.
 
         Raises:
             InputError: nothing is drawn, or textures are larger than the budget or cannot be decoded.
@@ -74,13 +83,14 @@ class Flattened:
         if not self._plain and not self._textured:
             raise InputError(self._name, "meshes", "holds no triangles that are drawn", "export it with its geometry")
         parts = []
-        if self._plain:
-            vertices, faces, colors = _joined(self._plain)
+        self.part_elements = [*sorted(self._plain), *(key[0] for key in sorted(self._textured))]
+        for _, groups in sorted(self._plain.items()):
+            vertices, faces, colors = _joined(groups)
             mesh = trimesh.Trimesh(vertices, faces, process=False)
             mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=colors)
             parts.append(mesh)
         pixels = 0
-        for (file, factor, is_linear), groups in sorted(self._textured.items()):
+        for (_, file, factor, is_linear), textured in sorted(self._textured.items()):
             data = read_file(file, file.name, BUDGET.image_bytes)
             size = image_pixels(data)
             pixels += size or 0
@@ -90,7 +100,7 @@ class Flattened:
             image = Image.open(io.BytesIO(data)).convert("RGB")
             if is_linear:
                 image = Image.fromarray(bytes_of_linear(np.asarray(image) / 255.0))
-            vertices, faces, uv = _joined(groups)
+            vertices, faces, uv = _joined(textured)
             material = trimesh.visual.material.PBRMaterial(baseColorTexture=image, baseColorFactor=[*display_of(factor), 1.0])
             parts.append(trimesh.Trimesh(vertices, faces, process=False, visual=trimesh.visual.TextureVisuals(uv=uv, material=material)))
         return parts
@@ -112,8 +122,29 @@ class Flattened:
             if not prim.IsA(UsdGeom.Gprim) or not self._is_drawn(prim):
                 continue
             here = np.array(self._places.GetLocalToWorldTransform(prim)) @ inverse
+            element = self._element(prim) if self._rooms else -1
             for group in self._groups(prim):
-                self._place(group, here, placed)
+                self._place(group, here, placed, element)
+
+    def _element(self, prim: Any) -> int:
+        """Number of the element that a prim belongs to, -1 for none."""
+        element = room_prim(prim)
+        if element is None:
+            self._unnamed.add(str(prim.GetPath()))
+            return -1
+        if element.path not in self._numbers:
+            self._numbers[element.path] = len(self.elements)
+            self.elements.append(element)
+        return self._numbers[element.path]
+
+    def _forget_elements(self) -> None:
+        """Make the parts those of a mesh that names nothing."""
+        plain, textured = self._plain, self._textured
+        self.elements, self._plain, self._textured = [], {}, {}
+        for _, groups in sorted(plain.items()):
+            self._plain.setdefault(-1, []).extend(groups)
+        for (_, *look), looks in sorted(textured.items()):
+            self._textured.setdefault((-1, *look), []).extend(looks)  # type: ignore[arg-type]
 
     def _is_drawn(self, prim: Any) -> bool:
         from pxr import UsdGeom
@@ -150,7 +181,7 @@ class Flattened:
                 else:
                     raise InputError(self._name, "instances", f"{target} instances what it lies in", "export it again")
 
-    def _place(self, group: tuple[Array, Integers, Any, Any], here: Array, placed: Array) -> None:
+    def _place(self, group: tuple[Array, Integers, Any, Any], here: Array, placed: Array, element: int) -> None:
         vertices, faces, look, texture = group
         self._faces += len(faces) * len(placed)
         if self._faces > MOST_FACES:
@@ -160,9 +191,9 @@ class Flattened:
             moved = vertices @ matrix[:3, :3] + matrix[3, :3]
             turned = faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
             if texture is None:
-                self._plain.append((moved, turned, look))
+                self._plain.setdefault(element, []).append((moved, turned, look))
             else:
-                self._textured.setdefault(texture, []).append((moved, turned, look))
+                self._textured.setdefault((element, *texture), []).append((moved, turned, look))
 
     def _groups(self, prim: Any) -> Iterator[tuple[Array, Integers, Any, Any]]:
         """A gprim as meshes of one look each: vertices, triangles, then colors (n, 3) uint8 and None, or uv (n, 2) and which texture."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -35,6 +36,34 @@ def write_stray_scanner(folder: Path, frames: Sequence[FrameSource], is_extracte
             files[f"rgb/{index:06d}.png"] = png(frame.color())
     files["odometry.csv"] = "\n".join(rows) + "\n"
     return put(folder, files)
+
+
+def write_video(path: Path, images: Sequence[NDArray[np.uint8]]) -> None:
+    """A video of images, shape (h, w, 3) each, as an MP4."""
+    import av
+
+    with av.open(path, "w", format="mp4") as container:
+        stream = container.add_stream("mpeg4", rate=60)
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt, stream.bit_rate = "yuv420p", 8_000_000
+        for image in images:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode())
+
+
+def pack_record3d(folder: Path) -> None:
+    """Pack depth and confidence of a recording with LZFSE, as the app does."""
+    import lzfse
+
+    for path in [*folder.glob("rgbd/*.depth"), *folder.glob("rgbd/*.conf")]:
+        path.write_bytes(lzfse.compress(path.read_bytes()))
+
+
+def zip_record3d(folder: Path, archive: Path, below: str = "") -> None:
+    """A recording as the app shares it."""
+    with zipfile.ZipFile(archive, "w") as target:
+        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            target.write(path, below + path.relative_to(folder).as_posix())
 
 
 def write_record3d(folder: Path, frames: Sequence[FrameSource]) -> Path:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from schemas.errors import InputError
+from tasks.capture.formats import find_scans, format_of, scan_files
 from tasks.capture.wholeness import find_gap
-from tests.tasks.capture.formats.phones import write_record3d
+from tests.tasks.capture.formats.phones import pack_record3d, write_record3d, zip_record3d
 from tests.tasks.capture.formats.written import assert_same_frames, only_scan, read, sample
 
 
@@ -34,11 +35,73 @@ def test_what_the_sensor_has_no_confidence_in_is_no_reading(tmp_path: Path) -> N
     assert not frame.depth().any()
 
 
-def test_packed_depth_is_told_how_to_be_unpacked(tmp_path: Path) -> None:
+def test_packed_depth_without_its_decoder_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_sample(tmp_path / "a")
     (tmp_path / "a" / "rgbd" / "0.depth").write_bytes(b"bvx2" + bytes(40))
-    with pytest.raises(InputError, match=r"^a/rgbd/0.depth: content: is packed with LZFSE, .* lzfse -decode "):
+    monkeypatch.setattr("tasks.capture.record3d.is_installed", lambda package: False)
+    expected = r"^a/rgbd/0.depth: content: is decoded by lzfse, which is not installed; pip install .*, or .* lzfse -decode "
+    with pytest.raises(InputError, match=expected):
         read(tmp_path)
+
+
+def test_an_archive_without_its_decoder_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "room.r3d").write_bytes(b"PK")
+    monkeypatch.setattr("tasks.capture.record3d.is_installed", lambda package: False)
+    with pytest.raises(InputError, match=r"^room.r3d: depth: is decoded by lzfse, .* rename it to .zip and unzip it"):
+        read(tmp_path)
+
+
+@pytest.mark.whole
+def test_packed_depth_is_decoded(tmp_path: Path) -> None:
+    write_sample(tmp_path / "a")
+    pack_record3d(tmp_path / "a")
+    assert_same_frames(read(tmp_path).frames, sample().frames, is_lossy=True)
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("below", ["", "recording/"])
+def test_an_archive_is_a_scan(below: str, tmp_path: Path) -> None:
+    write_sample(tmp_path / "made")
+    pack_record3d(tmp_path / "made")
+    (tmp_path / "scans").mkdir()
+    for name in ("a", "b"):
+        zip_record3d(tmp_path / "made", tmp_path / "scans" / f"{name}.r3d", below)
+    scans, errors = find_scans(tmp_path / "scans")
+    assert ([scan.scene_id for scan in scans], errors) == (["record3d/a", "record3d/b"], [])
+    for scan in scans:
+        assert_same_frames(format_of(scan).read(scan).frames, sample().frames, is_lossy=True)
+        assert [path.name for path in scan_files(scan)] == [scan.path.name]
+    assert [scan.scene_id for scan in find_scans(tmp_path / "scans" / "b.r3d")[0]] == ["record3d/b"]
+
+
+def test_a_mesh_next_to_a_recording_is_a_scan_of_its_own(tmp_path: Path) -> None:
+    """A package next to an archive, and a mesh in the folder of a recording, hide neither."""
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared" / "a.r3d").write_bytes(b"PK")
+    (tmp_path / "shared" / "other.usdz").write_bytes(b"PK")
+    assert [scan.scene_id for scan in find_scans(tmp_path / "shared")[0]] == ["mesh/other", "record3d/a"]
+    write_sample(tmp_path / "unzipped" / "b")
+    (tmp_path / "unzipped" / "b" / "export.usdz").write_bytes(b"PK")
+    scans, errors = find_scans(tmp_path / "unzipped")
+    assert [scan.scene_id for scan in scans] == ["record3d/b"]
+    assert "export.usdz is not part of the record3d scan" in str(errors[0])
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("case", ["empty", "text", "cut", "without metadata", "bad depth"])
+def test_a_broken_archive_is_refused(case: str, tmp_path: Path) -> None:
+    write_sample(tmp_path / "made")
+    if case == "without metadata":
+        (tmp_path / "made" / "metadata").unlink()
+    if case == "bad depth":
+        (tmp_path / "made" / "rgbd" / "0.depth").write_bytes(b"bvx2" + bytes(100))
+    (tmp_path / "scans").mkdir()
+    path = tmp_path / "scans" / "a.r3d"
+    zip_record3d(tmp_path / "made", path)
+    data = path.read_bytes()
+    path.write_bytes({"empty": b"", "text": b"no archive", "cut": data[: len(data) // 2]}.get(case, data))
+    with pytest.raises(InputError, match=r"^a"):
+        read(tmp_path / "scans")
 
 
 def test_each_frame_may_have_a_lens_of_its_own(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from tasks.stage import Context
 from tests.capture_scans import OBJECTS, ROOM
 from tests.tasks.capture.formats.phones import write_roomplan
 from tests.tasks.capture.formats.written import Array, only_scan, read
+from tests.tasks.capture.phones import captured_rooms
 
 DOOR = (1, 0.3, 0.9, 2.0)
 """In which wall, how far from its middle, width and height [m]."""
@@ -30,6 +31,22 @@ def boxes() -> list[tuple[str, Array, Array]]:
 def write_sample(folder: Path) -> None:
     """A living room with a door, a table, a chair and a cabinet."""
     write_roomplan(folder, boxes(), ROOM, [DOOR])
+
+
+def write_structure(folder: Path) -> None:
+    """A structure of two storeys: a bay, floors in both planes, one that is missing, and a door that names no wall."""
+    listed = captured_rooms.walls()
+    listed[1] = listed[1] | {"curve": captured_rooms.arc(2.5, 1.85, 1.5, is_measured=True, sign=-1.0)}
+    rooms = [
+        captured_rooms.captured(walls=listed, floors=[captured_rooms.floor_upright()], objects=[captured_rooms.table()]),
+        captured_rooms.captured(walls=captured_rooms.walls(2.8, 1), floors=[captured_rooms.floor_lying(2.8, story=1)]),
+        captured_rooms.captured(walls=captured_rooms.walls(2.8, 1, x=4.0), sections=[{"label": "kitchen"}]),
+    ]
+    door = captured_rooms.surface("door", captured_rooms.placed(0, 1.0, -1.5), [0.9, 2.0, 0])
+    captured_rooms.write(folder, {"rooms": rooms, "doors": [door], "version": 2}, "CapturedStructure.json")
+
+
+FURTHER_SAMPLES = (write_structure,)
 
 
 def test_boxes_are_instances_and_walls_the_shell(tmp_path: Path) -> None:

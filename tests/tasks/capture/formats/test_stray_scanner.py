@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from schemas.errors import InputError
+from tasks.capture.formats import scan_files
 from tasks.capture.wholeness import find_gap
 from tasks.geometry.transforms import transform_points
-from tests.tasks.capture.formats.phones import write_stray_scanner
+from tests.tasks.capture.formats.phones import write_stray_scanner, write_video
 from tests.tasks.capture.formats.written import only_scan, read, sample
 
 
@@ -35,9 +36,63 @@ def test_frames_are_those_of_the_native_format(tmp_path: Path) -> None:
     assert find_gap(only_scan(tmp_path)) is None
 
 
-def test_a_video_is_told_how_to_become_images(tmp_path: Path) -> None:
+def write_recording(folder: Path, images: int = 3) -> None:
+    """A recording with a video of so many frames, and no images."""
+    frames = sample().frames
+    write_stray_scanner(folder, frames, is_extracted=False)
+    write_video(folder / "rgb.mp4", [frames[k % 3].color() for k in range(images)])
+
+
+def test_a_video_without_its_decoder_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_recording(tmp_path / "a")
+    monkeypatch.setattr("tasks.capture.stray_scanner.is_installed", lambda package: False)
+    expected = (
+        r"^a/rgb.mp4: frames: is decoded by PyAV, which is not installed; pip install \"metascenes\[video\]\", or in its folder: mkdir"
+    )
+    with pytest.raises(InputError, match=expected):
+        read(tmp_path)
+
+
+@pytest.mark.whole
+def test_frames_of_a_video_are_those_of_its_images(tmp_path: Path) -> None:
+    """Colors are the video's, lossy; poses, lenses and depth are those of the recording."""
+    write_recording(tmp_path / "a")
+    reading = read(tmp_path)
+    assert [frame.color_file for frame in reading.frames] == ["rgb.mp4#0", "rgb.mp4#1", "rgb.mp4#2"]
+    for mine, native in zip(reading.frames, sample().frames, strict=True):
+        assert np.abs(mine.color().astype(float) - native.color()).mean() < 8
+        np.testing.assert_allclose(np.asarray(mine.pose), np.asarray(native.pose), atol=1e-9)
+        np.testing.assert_allclose(mine.intrinsics, native.intrinsics, atol=1e-9)
+        assert mine.depth is not None
+        assert mine.depth().any()
+    assert [path.name for path in scan_files(only_scan(tmp_path))].count("rgb.mp4") == 1
+    assert find_gap(only_scan(tmp_path)) is None
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("images", [2, 5])
+def test_a_video_of_another_length_is_named(images: int, tmp_path: Path) -> None:
+    write_recording(tmp_path / "a", images)
+    reading = read(tmp_path)
+    assert len(reading.frames) == min(images, 3)
+    assert any(f"rgb.mp4: has {images} frames, depth has numbers up to 2" in note for note in reading.degradations)
+
+
+@pytest.mark.whole
+def test_of_a_long_video_every_so_many_frames_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_recording(tmp_path / "a")
+    monkeypatch.setattr("tasks.capture.files.unpacked.MAX_FRAMES", 2)
+    reading = read(tmp_path)
+    assert [frame.color_file for frame in reading.frames] == ["rgb.mp4#0", "rgb.mp4#2"]
+    assert any("every 2. of 3 frames is used" in note for note in reading.degradations)
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("content", [b"", b"ftyp", bytes(4000), b"\0\0\0\x18ftypisom" + bytes(range(256)) * 20])
+def test_a_broken_video_is_refused(content: bytes, tmp_path: Path) -> None:
     write_stray_scanner(tmp_path / "a", sample().frames, is_extracted=False)
-    with pytest.raises(InputError, match=r"^a/rgb.mp4: frames: a video is not read, .* in its folder: mkdir rgb && ffmpeg -i rgb.mp4 "):
+    (tmp_path / "a" / "rgb.mp4").write_bytes(content)
+    with pytest.raises(InputError, match=r"^a/rgb.mp4: (content|streams): "):
         read(tmp_path)
 
 

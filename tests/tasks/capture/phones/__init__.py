@@ -1,0 +1,1 @@
+"""Exports of apps on phones: captured rooms and LiDAR meshes."""
