@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.point_cloud.points import Points
+from tasks.capture.point_cloud.thinning import first_in_voxels
 from tasks.kernels import Kernels, compile_kernels
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
+Neighbors = NDArray[np.int32]
 
 NEIGHBORS = 16
 """Points that a plane is fitted to: at half a voxel they span a disc of two voxels, less than a table leg."""
@@ -23,8 +25,14 @@ NEIGHBORS = 16
 CHUNK = 200_000
 """Points that are fitted at once: their neighbors take 80 MB."""
 
-VOTERS, ROUNDS = 12, 6
-"""Neighbors that vote on a sign, and how often: signs travel 20 cm, over the gaps between a chair's parts."""
+ROUNDS = 8
+"""Votes of neighbors on a sign: signs travel 20 cm, over the gaps between a chair's parts."""
+
+VOTER_VOXELS = 2.0
+"""Side of the voxels that have a point with rays, in voxels of the surface: votes travel farther than that."""
+
+PARALLEL = 0.7
+"""Cosine above which neighbors lie on one side of a surface."""
 
 DIRECTIONS = 42
 """Rays that leave a point: with more, the signs of generated rooms stay the same."""
@@ -38,8 +46,12 @@ MIN_AGREEMENT = 0.9
 MAX_CELLS = 60_000_000
 """Cells of the space that rays cross, in bytes."""
 
-OPEN_SHARE = 0.5
-"""Covered share of a side of the cloud's box below which it is open, as a missing ceiling is."""
+MIN_FLOOR_SHARE, MAX_OPEN_FACTOR = 0.2, 0.33
+"""Covered share of a side of the cloud's box that is a floor, and the factor on it below which the opposite side is open: the ceiling was
+not scanned. In a turned room, walls cover none of the sides."""
+
+MIN_STATED_SHARE = 0.5
+"""Share of points with a normal in the file from which the others follow them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,39 +64,38 @@ class Normals:
 
 def oriented_normals(points: Points, tree: cKDTree, side: float, unit_m: float) -> Normals:
     """Normals of thinned points. tree: of their positions. side: side of a voxel, in their unit. unit_m: meters per unit."""
-    values = _directions(points.positions, tree)
+    near, values = _fitted(points.positions, tree)
     if points.sensors is not None and points.sensor_of is not None and (points.sensor_of >= 0).all():
         toward = points.sensors[points.sensor_of] - points.positions
         return Normals(values * _signs(values, toward)[:, None], "normals point to the sensors, which the file states")
     ignored = ""
     if points.normals is not None:
         stated = points.normals.astype(np.float64)
-        length = np.linalg.norm(stated, axis=1)
-        is_stated = length > 0.1  # means of opposite normals are short
+        is_stated = np.linalg.norm(stated, axis=1) > 0.1  # means of opposite normals are short
         signs = np.where(is_stated, _signs(values, stated), 0.0)
-        agreement = _agreement(values * signs[:, None], tree, points.positions)
-        if is_stated.mean() > OPEN_SHARE and agreement >= MIN_AGREEMENT:
-            signs = _voted(values, signs, is_stated.astype(np.float64), tree, points.positions)
-            return Normals(values * signs[:, None], "normals have the signs that the file states")
+        agreement = _agreement(values * signs[:, None], near)
+        if is_stated.mean() > MIN_STATED_SHARE and agreement >= MIN_AGREEMENT:
+            return Normals(values * _voted(values, signs, near)[:, None], "normals have the signs that the file states")
         ignored = f"; those of the file are not used, as {1 - agreement:.0%} of neighbors contradict each other"
-    openness = _openness(points.positions, values, side, unit_m)
-    total = openness.sum(axis=1)
-    difference = openness[:, 0] - openness[:, 1]
-    certainty = np.abs(difference) / np.maximum(total, 1e-9)
-    signs = _voted(values, np.where(difference >= 0, 1.0, -1.0), certainty, tree, points.positions)
-    return Normals(values * signs[:, None], f"normals point to the open space around the surface{ignored}")
+    # A few points of each surface tell the side, and their neighbors follow: rays are dear.
+    chosen = first_in_voxels(points.positions, VOTER_VOXELS * side)
+    openness = _openness(points.positions, chosen, values, side, unit_m)
+    signs = np.zeros(len(values))
+    signs[chosen] = (openness[:, 0] - openness[:, 1]) / np.maximum(openness.sum(axis=1), 1e-9)
+    return Normals(values * _voted(values, signs, near)[:, None], f"normals point to the open space around the surface{ignored}")
 
 
-def _directions(positions: Array, tree: cKDTree) -> Array:
-    """Directions in which the neighbors of each point spread least, shape (n, 3)."""
-    values = np.empty((len(positions), 3))
+def _fitted(positions: Array, tree: cKDTree) -> tuple[Neighbors, Array]:
+    """Neighbors of each point, shape (n, k), and the directions in which they spread least, shape (n, 3)."""
     count = min(NEIGHBORS, len(positions))
+    near, values = np.empty((len(positions), count), np.int32), np.empty((len(positions), 3))
     for start in range(0, len(positions), CHUNK):
-        near = tree.query(positions[start : start + CHUNK], count)[1]
-        offsets = positions[near] - positions[near].mean(axis=1, keepdims=True)
-        spread = np.einsum("nki,nkj->nij", offsets, offsets)
-        values[start : start + CHUNK] = np.linalg.eigh(spread)[1][:, :, 0]
-    return values
+        rows = slice(start, start + CHUNK)
+        near[rows] = tree.query(positions[rows], count)[1]
+        offsets = positions[near[rows]]
+        offsets -= offsets.mean(axis=1, keepdims=True)
+        values[rows] = np.linalg.eigh(offsets.transpose(0, 2, 1) @ offsets)[1][:, :, 0]
+    return near, values
 
 
 def _signs(values: Array, toward: Array) -> Array:
@@ -92,32 +103,32 @@ def _signs(values: Array, toward: Array) -> Array:
     return np.where(np.einsum("ni,ni->n", values, toward) < 0, -1.0, 1.0)
 
 
-def _agreement(values: Array, tree: cKDTree, positions: Array) -> float:
+def _agreement(values: Array, near: Neighbors) -> float:
     """Share of neighbors of a sample with parallel directions that have the same sign."""
-    sample = np.linspace(0, len(positions) - 1, min(len(positions), CHUNK // 10)).astype(np.int64)
-    near = tree.query(positions[sample], min(VOTERS, len(positions)))[1]
-    cosines = np.einsum("ni,nki->nk", values[sample], values[near])
-    is_parallel = np.abs(cosines) > 0.7
+    sample = np.linspace(0, len(values) - 1, min(len(values), CHUNK // 10)).astype(np.int64)
+    cosines = np.einsum("ni,nki->nk", values[sample], values[near[sample]])
+    is_parallel = np.abs(cosines) > PARALLEL
     return float((cosines[is_parallel] > 0).mean()) if is_parallel.any() else 0.0
 
 
-def _voted(values: Array, signs: Array, certainty: Array, tree: cKDTree, positions: Array) -> Array:
-    """Signs after votes of neighbors, weighted by their certainty and how parallel they are, shape (n,)."""
-    count = min(VOTERS, len(positions))
-    score = signs * certainty
+def _voted(values: Array, signs: Array, near: Neighbors) -> Array:
+    """Signs after votes of neighbors, weighted by how parallel they are, shape (n,).
+
+    signs: -1 to 1 by their certainty.
+    """
+    weights = np.empty(near.shape, np.float32)
+    for start in range(0, len(values), CHUNK):
+        rows = slice(start, start + CHUNK)
+        cosines = (values[near[rows]] @ values[rows, :, None])[:, :, 0]
+        weights[rows] = cosines * np.abs(cosines)
+    score = signs.astype(np.float32)
     for _ in range(ROUNDS):
-        voted = np.empty_like(score)
-        for start in range(0, len(positions), CHUNK):
-            rows = slice(start, start + CHUNK)
-            near = tree.query(positions[rows], count)[1]
-            cosines = np.einsum("ni,nki->nk", values[rows], values[near])
-            voted[rows] = (cosines * np.abs(cosines) * score[near]).mean(axis=1)
-        score = np.clip(2.0 * voted, -1.0, 1.0)
+        score = np.clip(2.0 * (weights * score[near]).mean(axis=1), -1.0, 1.0)
     return np.where(score < 0, -1.0, 1.0)
 
 
-def _openness(positions: Array, values: Array, side: float, unit_m: float) -> Array:
-    """Mean free distance on either side of each point, in cells, shape (n, 2): along the direction and against it.
+def _openness(positions: Array, chosen: NDArray[np.int64], values: Array, side: float, unit_m: float) -> Array:
+    """Mean free distance on either side of chosen points, in cells, shape (k, 2): along the direction and against it.
 
     A ray that leaves the cloud through a closed side of its box counts as blocked at once: nothing was seen from there.
     """
@@ -127,10 +138,12 @@ def _openness(positions: Array, values: Array, side: float, unit_m: float) -> Ar
     cells = np.minimum(((positions - low) / cell).astype(np.int64), shape - 1)
     is_occupied = np.zeros(shape, np.uint8)
     is_occupied[tuple(cells.T)] = 1
-    is_open = np.array([_covered(is_occupied, axis, end) < OPEN_SHARE for axis in range(3) for end in (0, 1)], np.uint8)
+    covered = np.array([_covered(is_occupied, axis, end) for axis in range(3) for end in (0, 1)])
+    opposite = covered[[1, 0, 3, 2, 5, 4]]
+    is_open = ((opposite > MIN_FLOOR_SHARE) & (covered < MAX_OPEN_FACTOR * opposite)).astype(np.uint8)
     steps = int(np.clip(MAX_RAY_M / unit_m / cell, 8, 4096))
-    openness = np.zeros((len(positions), 2))
-    _compiled()["_cast"]((positions - low) / cell, values, _sphere(), is_occupied, is_open, steps, openness)
+    openness = np.zeros((len(chosen), 2))
+    _compiled()["_cast"]((positions[chosen] - low) / cell, values[chosen], _sphere(), is_occupied, is_open, steps, openness)
     return openness
 
 

@@ -16,7 +16,7 @@ from tasks.capture.files.survey import survey_shift
 from tasks.capture.point_cloud.normals import oriented_normals
 from tasks.capture.point_cloud.points import MIN_POINTS, LabelledPoints, Points
 from tasks.capture.point_cloud.surface import surface_of_points
-from tasks.capture.point_cloud.thinning import occupied_voxels, spacing_of, thinned
+from tasks.capture.point_cloud.thinning import first_in_voxels, spacing_of, thinned
 from tasks.capture.reading import Group, Reading, groups_of
 from tasks.geometry.meshes import Surface
 
@@ -89,7 +89,7 @@ def _surface(points: Points, unit: float, name: str) -> CloudSurface:
     cloud = thinned(points, finest / POINTS_PER_VOXEL)
     spacing = spacing_of(cloud.positions)
     voxel = float(np.clip(VOXEL_SPACINGS * spacing, finest, MAX_VOXEL_M / unit))
-    while occupied_voxels(cloud.positions, voxel) > MAX_VOXELS and voxel < MAX_VOXEL_M / unit:
+    while len(first_in_voxels(cloud.positions, voxel)) > MAX_VOXELS and voxel < MAX_VOXEL_M / unit:
         voxel = min(voxel * 1.25, MAX_VOXEL_M / unit)
     if voxel / POINTS_PER_VOXEL > spacing:
         cloud = thinned(cloud, voxel / POINTS_PER_VOXEL)

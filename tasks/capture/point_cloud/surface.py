@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 REACH_VOXELS = 2.0
 """Distance at which a point loses its weight: nodes of all cells that a surface crosses have points, with a voxel to spare for noise."""
 
-TRIM_VOXELS = 1.25
+TRIM_VOXELS = 0.9
 """Distance of vertices to their nearest point beyond which there is no surface: it would grow over the edge of what was scanned."""
 
 MIN_PIECE_FACES = 60
@@ -60,12 +60,15 @@ def _keys(places: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _blocks(positions: Array, voxel: float) -> NDArray[np.int64]:
     """Blocks of nodes that points reach, sorted by their keys, shape (k, 3)."""
-    cells = np.unique(np.floor(positions / voxel).astype(np.int64), axis=0)
+    cells = np.floor(positions / voxel).astype(np.int64)
     low = (cells - int(REACH_VOXELS)) // SIDE
     high = (cells + int(REACH_VOXELS) + 1) // SIDE
-    corners = [np.where(np.array([c & 1, c >> 1 & 1, c >> 2], dtype=bool), high, low) for c in range(8)]
-    places = np.unique(np.concatenate(corners), axis=0)
-    return places[np.argsort(_keys(places))]
+    keys = np.zeros(0, dtype=np.int64)
+    for corner in range(8):
+        is_high = np.array([corner & 1, corner >> 1 & 1, corner >> 2], dtype=bool)
+        keys = np.union1d(keys, _keys(np.where(is_high, high, low)))
+    width = 2 * FAR_BLOCKS
+    return np.stack([keys // width**2, keys // width % width, keys % width], axis=1) - FAR_BLOCKS
 
 
 @cache

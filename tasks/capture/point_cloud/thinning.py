@@ -33,9 +33,7 @@ def thinned(points: Points, side: float) -> Points:
 
     The order follows the voxels, so that it does not depend on that of the file.
     """
-    cells = np.floor((points.positions - points.positions.min(axis=0)) / side).astype(np.int64)
-    extents = cells.max(axis=0) + 1
-    key = (cells[:, 0] * extents[1] + cells[:, 1]) * extents[2] + cells[:, 2]
+    key = _voxels(points.positions, side)
     owners = () if points.objects is None else (points.objects.owner,)
     keys = [*owners, *(() if points.sensor_of is None else (points.sensor_of,)), key]
     order = np.lexsort(keys) if len(keys) > 1 else np.argsort(key, kind="stable")
@@ -46,7 +44,7 @@ def thinned(points: Points, side: float) -> Points:
         is_first[1:] |= ascending[1:] != ascending[:-1]
     starts = np.flatnonzero(is_first)
     count = np.diff(np.append(starts, len(order)))
-    del key, keys, cells
+    del key, keys
 
     def means(values: NDArray[np.generic]) -> Array:
         columns = [np.add.reduceat(values[order, i].astype(np.float64), starts) / count for i in range(3)]
@@ -59,8 +57,13 @@ def thinned(points: Points, side: float) -> Points:
     return dataclasses.replace(kept, positions=means(points.positions), colors=colors, normals=normals)
 
 
-def occupied_voxels(positions: Array, side: float) -> int:
-    """Number of voxels of some side that hold points."""
+def first_in_voxels(positions: Array, side: float) -> NDArray[np.int64]:
+    """The first point in each voxel of some side, sorted."""
+    return np.sort(np.unique(_voxels(positions, side), return_index=True)[1])
+
+
+def _voxels(positions: Array, side: float) -> NDArray[np.int64]:
+    """Number of the voxel of each point, shape (n,)."""
     cells = np.floor((positions - positions.min(axis=0)) / side).astype(np.int64)
     extents = cells.max(axis=0) + 1
-    return len(np.unique((cells[:, 0] * extents[1] + cells[:, 1]) * extents[2] + cells[:, 2]))
+    return np.asarray((cells[:, 0] * extents[1] + cells[:, 1]) * extents[2] + cells[:, 2])
