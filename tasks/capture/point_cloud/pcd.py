@@ -25,7 +25,11 @@ AGAIN = "copy or export the cloud again"
 MAX_HEADER_BYTES = 65536
 """Headers have eleven lines."""
 
-_KINDS = {"F": {"4": "<f4", "8": "<f8"}, "I": {"1": "i1", "2": "<i2", "4": "<i4", "8": "<i8"}, "U": {"1": "u1", "2": "<u2", "4": "<u4", "8": "<u8"}}
+_KINDS = {
+    "F": {"4": "<f4", "8": "<f8"},
+    "I": {"1": "i1", "2": "<i2", "4": "<i4", "8": "<i8"},
+    "U": {"1": "u1", "2": "<u2", "4": "<u4", "8": "<u8"},
+}
 _PACKED = ("rgb", "rgba")
 
 
@@ -58,10 +62,7 @@ def read_pcd(path: Path, name: str) -> Pcd:
     """
     data = read_bytes(path, name, BUDGET.scene_bytes)
     header = read_header(data, name)
-    if header.data == "ascii":
-        columns = _text_columns(data, header, name)
-    else:
-        columns = _binary_columns(data, header, name)
+    columns = _text_columns(data, header, name) if header.data == "ascii" else _binary_columns(data, header, name)
     for word in _PACKED:
         if word in columns:
             columns |= _unpacked_colors(columns.pop(word))
@@ -113,7 +114,7 @@ def _natural(words: list[str] | str, name: str, field: str, most: int = 2**62) -
 def _viewpoint(words: list[str] | None, name: str) -> NDArray[np.float64]:
     """Pose of the sensor, 4x4."""
     try:
-        numbers = np.array([float(word) for word in words or "0 0 0 1 0 0 0".split()])
+        numbers = np.array([float(word) for word in words]) if words else np.array([0.0, 0, 0, 1, 0, 0, 0])
     except ValueError:
         numbers = np.zeros(0)
     length = float(np.linalg.norm(numbers[3:])) if len(numbers) == 7 and np.abs(numbers).max() < 1e9 else 0.0

@@ -17,7 +17,18 @@ Array = NDArray[np.float64]
 MIN_POINTS = 100
 """Fewer points show no surface of a room."""
 
-INSTANCE_NAMES = ("instance", "instance_id", "instanceid", "instance_label", "inst", "ins", "object_id", "objectid", "object", "predinstance")
+INSTANCE_NAMES = (
+    "instance",
+    "instance_id",
+    "instanceid",
+    "instance_label",
+    "inst",
+    "ins",
+    "object_id",
+    "objectid",
+    "object",
+    "predinstance",
+)
 LABEL_NAMES = ("label", "labels", "semantic", "semantic_label", "sem", "class", "class_id", "category", "category_id", "scalar_label")
 """Columns that programs write for the object and for the class of a point, in lower case."""
 

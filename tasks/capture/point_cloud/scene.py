@@ -19,6 +19,7 @@ from tasks.capture.point_cloud.surface import surface_of_points
 from tasks.capture.point_cloud.thinning import first_in_voxels, spacing_of, thinned
 from tasks.capture.reading import Group, Reading, groups_of
 from tasks.geometry.meshes import Surface
+from tasks.geometry.transforms import transform_points
 
 Array = NDArray[np.float64]
 
@@ -62,13 +63,11 @@ def cloud_reading(points: Points, stated: Stated, name: str, license: str | None
     reading = bare_reading([surface.to_trimesh()], stated, lines, license, name)
     if cloud.points.objects is None or reading.surface is None:
         return reading
-    vertices = (surface.vertices - low).astype(np.float64)
-    # The reading welds and moves vertices: each gets the object of the place that it came from.
+    # The reading welds, turns and moves vertices: each gets the object of the place that it came from.
     assert reading.from_file is not None
-    back = np.linalg.inv(reading.from_file)
-    places = reading.surface.vertices @ back[:3, :3].T + back[:3, 3] - low
-    assert len(places) <= len(vertices)
-    return dataclasses.replace(reading, groups=groups_of_points(cloud.points.positions, cloud.points.objects, places, reading.surface, name))
+    places = transform_points(reading.surface.vertices, np.linalg.inv(reading.from_file)) - low
+    groups = groups_of_points(cloud.points.positions, cloud.points.objects, places, reading.surface, name)
+    return dataclasses.replace(reading, groups=groups)
 
 
 @dataclasses.dataclass(frozen=True)
