@@ -395,13 +395,15 @@ def capture(format_: str) -> list[Case]:
 
 
 def meshes() -> list[Case]:
-    """A bare mesh in each kind of file."""
+    """A bare mesh in each kind of file, and points in a PLY."""
     from tasks.geometry.meshes import Surface
+    from tests.tasks.capture.formats import clouds
     from tests.tasks.capture.test_mesh_files import KINDS, written
 
     box = trimesh.creation.box((0.8, 0.6, 0.7))
     surface = Surface(np.asarray(box.vertices), np.asarray(box.faces), np.full((8, 3), 90, np.uint8))
-    return [folder_of(lambda root, kind=kind: written(root, surface, kind)) for kind in KINDS]
+    points = {"room.ply": clouds.ply_bytes(clouds.small_cloud(), objects=True)}
+    return [*(folder_of(lambda root, kind=kind: written(root, surface, kind)) for kind in KINDS), points]
 
 
 def library() -> list[Case]:

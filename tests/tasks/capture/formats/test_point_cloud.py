@@ -164,7 +164,7 @@ def test_a_pts_file_may_have_several_parts(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.xyz", b"2\nwater\nO 0 0 0\nH 0 0 1\n", "rows that are not"),
+        ("a.xyz", b"2\nwater\nO 0 0 0\nH 0 0 1\n", "has no rows of numbers"),
         ("a.xyz", b"", "has no rows of numbers"),
         ("a.xyz", b"1 2\n3 4\n", "a point needs 3"),
         ("a.xyz", b"1 2 3\0", "is not text"),
