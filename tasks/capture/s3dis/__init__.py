@@ -37,7 +37,7 @@ def read_s3dis(scan: Scan) -> Reading:
     """The surface of a room's points, and an instance for each of its objects.
 
     Raises:
-        InputError: a file is broken, or the points are too many.
+        InputError: the room's file or all of its objects are broken, or the points are too many.
     """
     folder = scan.path
     tables: list[NDArray[np.float64]] = []
@@ -45,10 +45,16 @@ def read_s3dis(scan: Scan) -> Reading:
     notes: list[str] = []
     for path in _object_files(folder, scan.premises):
         match = _OBJECT.fullmatch(path.stem)
-        values = _rows(path, name_of(path, folder), notes)
+        try:
+            values = _rows(path, name_of(path, folder), notes)
+        except InputError as error:  # a broken object costs itself
+            notes.append(f"{error}: left out")
+            continue
         check_count(len(values) + sum(map(len, tables)), folder.name)
         tables.append(values)
         named.append((path.stem, match["label"] if match else path.stem))
+    if not tables:
+        raise InputError(folder.name, OBJECTS, f"has no object that can be read ({'; '.join(notes)[:200]})", "copy the room again")
     owner = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
     values = np.concatenate(tables)
     room = _room_file(folder)

@@ -62,8 +62,17 @@ def test_a_damaged_row_costs_the_row(tmp_path: Path) -> None:
     assert "office_2/Annotations/floor_1.txt: 1 rows are not 6 numbers: left out" in notes
 
 
-def test_a_file_that_is_no_table_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_broken_object_costs_itself(tmp_path: Path) -> None:
     write_sample(tmp_path / "office_2")
     (tmp_path / "office_2" / "Annotations" / "floor_1.txt").write_text("no points\n")
-    with pytest.raises(InputError, match=r"^office_2/Annotations/floor_1.txt: content: has no rows of numbers; "):
+    reading = read(tmp_path / "office_2")
+    assert "floor" not in {group.raw_label for group in reading.groups or ()}
+    assert any(line.startswith("office_2/Annotations/floor_1.txt: content: has no rows of numbers; ") for line in reading.degradations)
+
+
+def test_a_room_without_readable_objects_is_refused(tmp_path: Path) -> None:
+    write_sample(tmp_path / "office_2")
+    for path in (tmp_path / "office_2" / "Annotations").iterdir():
+        path.write_text("no points\n")
+    with pytest.raises(InputError, match=r"^office_2: Annotations: has no object that can be read \(office_2/Annotations/ceiling_1.txt: "):
         read(tmp_path / "office_2")
