@@ -181,9 +181,8 @@ def _e57_chunks(file: Any, header: Any, axes: tuple[str, ...], is_colored: bool)
 
     count = min(CHUNK, max(header.point_count, 1))
     invalid = f"{'cartesian' if axes is _CARTESIAN else 'spherical'}InvalidState"
-    wanted = {axis: np.dtype("f8") for axis in axes}
-    wanted |= dict.fromkeys(_COLOR, np.dtype("f8")) if is_colored else {}
-    wanted |= {word: np.dtype("i4") for word in (invalid, "isColorInvalid") if word in header.point_fields}
+    wanted = dict.fromkeys([*axes, *(_COLOR if is_colored else ())], "f8")
+    wanted |= {invalid: "i4"} if invalid in header.point_fields else {}
     arrays = {word: np.zeros(count, dtype) for word, dtype in wanted.items()}
     buffers = libe57.VectorSourceDestBuffer()
     for word, array in arrays.items():

@@ -50,13 +50,13 @@ def grid_frame(pcd: Pcd, path: Path, name: str) -> FrameSource | None:
     depth = np.zeros(header.height * header.width, np.float32)
     scale = 0.001 if float(np.median(seen[:, 2])) > MAX_UNIT_DEPTH else 1.0
     depth[is_finite] = seen[:, 2] * scale
-    depth = depth.reshape(header.height, header.width)
     colors = points.colors if points.colors is not None else np.full((header.points, 3), 180, np.uint8)
     image = np.ascontiguousarray(colors.reshape(header.height, header.width, 3))
     size = (header.width, header.height)
+    depth_image = depth.reshape(header.height, header.width)
     return FrameSource(
         frame_id="0", color_file=path.name, depth_file=path.name, width=size[0], height=size[1], intrinsics=lens, depth_size=size,
-        depth_intrinsics=lens, depth_scale=1.0, pose=None, color=partial(_held, image), depth=partial(_held, depth),
+        depth_intrinsics=lens, depth_scale=1.0, pose=None, color=partial(_held, image), depth=partial(_held, depth_image),
     )  # fmt: skip
 
 

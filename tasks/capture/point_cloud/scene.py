@@ -127,7 +127,7 @@ def groups_of_points(
 
 def _finite(points: Points, name: str) -> tuple[Points, list[str]]:
     """Points with coordinates, and a line on the others."""
-    is_finite = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < 1e12).all(axis=1)
+    is_finite = np.all(np.isfinite(points.positions) & (np.abs(points.positions) < 1e12), axis=1, keepdims=True)[:, 0]
     missing = int((~is_finite).sum())
     if not missing:
         return points, []
