@@ -40,11 +40,12 @@ _WORDS = re.compile(r"[A-Za-z_][\w.]*")
 @dataclasses.dataclass(frozen=True)
 class TextTable:
     """Rows of a text. values: shape (n, width). header: names of the columns, empty without a header. stated: rows that count lines
-    state, None without any. notes: a line each."""
+    state, None without any. damaged: rows that were left out. notes: a line each."""
 
     values: Table
     header: tuple[str, ...] = ()
     stated: int | None = None
+    damaged: int = 0
     notes: tuple[str, ...] = ()
 
 
@@ -60,7 +61,7 @@ def read_point_rows(path: Path, name: str) -> Points:
     except OSError as error:
         raise InputError(name, "file", f"cannot be read ({error.strerror or error})", "check its permissions") from error
     rows, width = table.values.shape
-    if table.stated is not None and table.stated > rows:
+    if table.stated is not None and table.stated > rows + table.damaged:
         raise InputError(name, "points", f"are {rows}, the file states {table.stated}", "copy or export the file again")
     if width < 3:
         raise InputError(name, "columns", f"are {width}, a point needs 3", _AGAIN)
@@ -116,7 +117,7 @@ def read_rows(file: BinaryIO, name: str, width: int = 0, count: int | None = Non
         raise InputError(name, "content", problem, "is it a file of points? x y z in each line are read")
     notes = (f"{name}: {bad} rows are not {width} numbers: left out",) if bad else ()
     whole = tables[0] if len(tables) == 1 else np.concatenate(tables)
-    return TextTable(whole[:count], header, stated, notes)
+    return TextTable(whole[:count], header, stated, bad, notes)
 
 
 def _blocks(file: BinaryIO, name: str) -> Iterator[bytes]:
@@ -164,6 +165,8 @@ def _beginning(lines: bytes) -> tuple[int, int | None, tuple[str, ...], bytes]:
 
 def _numbers(lines: bytes, width: int) -> tuple[Table, int | None, int]:
     """Rows of `width` numbers, the sum of counts between them, and how many other rows there are."""
+    if not lines.strip():
+        return np.zeros((0, width)), None, 0
     try:
         table = np.loadtxt(io.BytesIO(lines), dtype=np.float64, comments=None, ndmin=2)
         if table.shape[1] == width:
