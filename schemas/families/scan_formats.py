@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 SCAN_FORMATS = (
-    "scannet", "scannetpp", "threerscan", "replica_v1", "matterport3d", "multiscan", "arkitscenes", "tum_rgbd", "stray_scanner", "record3d",
-    "roomplan", "posed_rgbd", "glb", "bare_mesh",
+    "scannet", "scannetpp", "threerscan", "replica_v1", "matterport3d", "multiscan", "arkitscenes", "s3dis", "tum_rgbd", "stray_scanner",
+    "record3d", "roomplan", "posed_rgbd", "glb", "bare_mesh", "point_cloud",
 )  # fmt: skip
-"""In the order in which they are looked for: `bare_mesh`, which takes any folder with one mesh in it, is the last."""
+"""In the order in which they are looked for. `bare_mesh` and `point_cloud` take any folder with one file of theirs in it: they are last."""

@@ -22,7 +22,7 @@ from tasks.kernels import Kernels, compile_kernels
 Intrinsics = tuple[float, float, float, float]
 """fx, fy, cx, cy [px]; the center of the first pixel is (0, 0)."""
 
-_SIDE = 8
+SIDE = 8
 """Voxels along a block: large enough that finding blocks costs little, small enough that few voxels lie idle."""
 
 _FIRST_BLOCKS = 4096
@@ -31,7 +31,7 @@ _FIRST_BLOCKS = 4096
 _WIDEST_STRIDE = 4
 """Blocks are sought along every fourth pixel's ray, or more where a block is seen under fewer pixels."""
 
-_FAR = 1 << 20
+FAR_BLOCKS = 1 << 20
 """Blocks along an axis on either side of the origin, 160 km at 2 cm: three such numbers fit into one key."""
 
 _COLOR_STEPS = 256
@@ -50,7 +50,7 @@ class Volume:
         self.blocks = 0
         self._places = np.zeros((0, 3), dtype=np.int64)
         self._seen = np.zeros(0, dtype=np.int64)
-        self._values = np.zeros((0, *(_SIDE,) * 3), dtype=np.float32)
+        self._values = np.zeros((0, *(SIDE,) * 3), dtype=np.float32)
         self._weights = np.zeros(self._values.shape, dtype=np.uint16)
         self._colors = np.zeros((*self._values.shape, 3), dtype=np.uint16)
         self._table = np.zeros(0, dtype=np.int64)
@@ -75,7 +75,7 @@ class Volume:
         depth = np.ascontiguousarray(depth, dtype=np.float32)
         to_camera = np.linalg.inv(np.asarray(pose, dtype=np.float64))
         lenses = np.array([depth_intrinsics, color_intrinsics], dtype=np.float64)
-        block_m, max_depth_m = _SIDE * self.voxel_m, float(max_depth_m)
+        block_m, max_depth_m = SIDE * self.voxel_m, float(max_depth_m)
         stride = int(np.clip(0.5 * block_m * min(depth_intrinsics[:2]) / max_depth_m, 1, _WIDEST_STRIDE))
         full = True
         while full:
@@ -98,7 +98,7 @@ class Volume:
         places = self._places[:n]
         weights = self._weights[:n]
         vertices, faces, colors = level_surface(
-            self._values[:n], weights > min_weight, self._colors[:n], places * _SIDE, _following(places)
+            self._values[:n], weights > min_weight, self._colors[:n], places * SIDE, following_blocks(places)
         )
         painted = np.clip(np.round(colors / _COLOR_STEPS), 0, 255).astype(np.uint8)
         return without_small_pieces(Surface(vertices * self.voxel_m, faces, painted), min_piece_faces)
@@ -135,10 +135,10 @@ def without_small_pieces(surface: Surface, faces: int) -> Surface:
     return Surface(surface.vertices[used], (np.cumsum(used) - 1)[kept], surface.colors[used])
 
 
-def _following(places: NDArray[np.int64]) -> NDArray[np.int64]:
+def following_blocks(places: NDArray[np.int64]) -> NDArray[np.int64]:
     """The block at +x (bit 0), +y (bit 1), +z (bit 2) and their sums of each block, -1 for none, shape (n, 8)."""
-    weights = np.array([(2 * _FAR) ** 2, 2 * _FAR, 1], dtype=np.int64)
-    keys = (places + _FAR) @ weights
+    weights = np.array([(2 * FAR_BLOCKS) ** 2, 2 * FAR_BLOCKS, 1], dtype=np.int64)
+    keys = (places + FAR_BLOCKS) @ weights
     order = np.argsort(keys)
     following = np.empty((len(places), 8), dtype=np.int64)
     for c in range(8):

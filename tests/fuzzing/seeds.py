@@ -400,8 +400,9 @@ def capture(format_: str) -> list[Case]:
 
 
 def meshes() -> list[Case]:
-    """A bare mesh in each kind of file."""
+    """A bare mesh in each kind of file, and points in a PLY."""
     from tasks.geometry.meshes import Surface
+    from tests.tasks.capture.formats import clouds
     from tests.tasks.capture.phones.room_packages import furnished_room, write_package
     from tests.tasks.capture.test_mesh_files import KINDS, written
 
@@ -409,7 +410,8 @@ def meshes() -> list[Case]:
     surface = Surface(np.asarray(box.vertices), np.asarray(box.faces), np.full((8, 3), 90, np.uint8))
     found = [folder_of(lambda root, kind=kind: written(root, surface, kind)) for kind in KINDS]
     package = folder_of(lambda root: write_package(root / "Room.usdz", furnished_room()))
-    return [*found, package, {"room.ply": ply_with_image(surface.vertices, surface.faces), "room.png": _image()}]
+    points = {"room.ply": clouds.ply_bytes(clouds.small_cloud(), objects=True)}
+    return [*found, package, points, {"room.ply": ply_with_image(surface.vertices, surface.faces), "room.png": _image()}]
 
 
 def ply_with_image(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> bytes:

@@ -11,7 +11,7 @@ from pathlib import Path
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.bare_mesh.upright import Y_UP, Stated, bare_reading
-from tasks.capture.files.documents import license_of, name_of
+from tasks.capture.files.documents import license_of, name_of, read_bytes
 from tasks.capture.files.ply import read_ply_mesh
 from tasks.capture.files.survey import MAX_SURVEY_OFFSET
 from tasks.capture.premises import Premises
@@ -32,6 +32,8 @@ def read_mesh(scan: Scan) -> Reading:
     Raises:
         InputError: the file is broken, larger than the budget, without triangles, or of no size that any unit explains.
     """
+    from tasks.capture.point_cloud.ply import is_cloud, read_ply_points  # which builds on this package
+    from tasks.capture.point_cloud.scene import cloud_reading
     from tasks.capture.roomplan.package import package_reading
     from tasks.library.obj import OBJ  # which read what this package reads, and so import it
     from tasks.library.usd import read_room
@@ -41,8 +43,10 @@ def read_mesh(scan: Scan) -> Reading:
     license = license_of(license_path(scan.folder, scan.premises))
     kind = path.suffix.lower()
     if kind == ".ply":
-        ply = read_ply_mesh(path, name, is_in_metres=False)
         stated = Stated(None, "z", "most of its kind")
+        if is_cloud(read_bytes(path, name, BUDGET.scene_bytes, b"ply"), name):
+            return cloud_reading(read_ply_points(path, name), stated, name, license, (NO_FRAMES,))
+        ply = read_ply_mesh(path, name, is_in_metres=False)
         return bare_reading([ply.surface.to_trimesh()], stated, (NO_FRAMES, *ply.notes), license, name)
     try:
         if kind == ".glb":

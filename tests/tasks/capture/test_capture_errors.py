@@ -268,7 +268,7 @@ def test_find_scans_by_format(room: BoxRoom, tmp_path: Path) -> None:
     ]  # fmt: skip
     for format in SCAN_FORMATS:
         only, _ = find_scans(tmp_path, format)
-        wanted = {scan.format for scan in scans} | {"bare_mesh"}  # which any file of a mesh is where it is asked for
+        wanted = {scan.format for scan in scans} | {"bare_mesh", "point_cloud"}  # any mesh is one where it is asked for
         assert {scan.format for scan in only} == {format} & wanted
     assert find_scans(tmp_path, dataset="Mine")[0][0].scene_id == "mine/My_Kitchen_"
     assert find_scans(tmp_path / "house.glb")[0][0].scene_id == "glb/house"

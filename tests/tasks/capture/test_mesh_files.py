@@ -239,10 +239,10 @@ def test_a_textured_model_of_others_keeps_its_image(realdata: Callable[[str], Pa
     assert [None if image is None else image.shape for image in kept] == [None if image is None else image.shape for image in own]
 
 
-def test_a_point_cloud_is_refused(tmp_path: Path) -> None:
+def test_a_handful_of_points_is_refused(tmp_path: Path) -> None:
     cloud = trimesh.PointCloud(np.random.default_rng(0).random((50, 3)))
     data = cloud.export(file_type="ply")
     (tmp_path / "cloud.ply").write_bytes(data if isinstance(data, bytes) else io.BytesIO(data).getvalue())
     (scan,), _ = find_scans(tmp_path / "cloud.ply")
-    with pytest.raises(InputError, match="the mesh has no faces"):
+    with pytest.raises(InputError, match="points: are 50, a surface needs 100"):
         read_mesh(scan)

@@ -55,7 +55,6 @@ def test_a_scan_that_lacks_a_file_is_told_which(format: str, tmp_path: Path) -> 
     ("file", "advice"),
     [
         ("walk.bag", "write folders color and depth (16-bit PNG in millimetres), pose.txt and intrinsics.json"),
-        ("cloud.e57", "make a triangle mesh of them"),
         ("house.fbx", "export it as GLB"),
         ("sequence.zip", "unpack it"),
     ],

@@ -1,0 +1,219 @@
+"""The process that reads LAS, LAZ and E57 files: their native readers meet foreign bytes in it alone.
+
+It leaves the columns of the points in `points.bin`, and as facts dtype, shape and offset of each, and notes.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import InputError
+from tasks.capture.point_cloud.points import INSTANCE_NAMES, LABEL_NAMES, check_count
+from tasks.confinement import answer, limit
+
+COLUMNS = "points.bin"
+"""The file of the columns, one after the other."""
+
+CHUNK = 1_000_000
+"""Points that are read at once."""
+
+NOISE = (7, 18)
+"""Classes of points that LAS calls noise, low and high."""
+
+AGAIN = "copy or export the cloud again"
+
+Columns = dict[str, NDArray[Any]]
+
+
+def main() -> None:
+    """Read the file that the arguments name into the folder that they name."""
+    kind, path, name, folder, written = sys.argv[1], Path(sys.argv[2]), sys.argv[3], Path(sys.argv[4]), int(sys.argv[5])
+    limit(int(sys.argv[6]), int(sys.argv[7]), written)
+    try:
+        facts = {"las": _read_las, "e57": _read_e57}[kind](path, name, folder)
+    except InputError as error:
+        facts = {"refused": [error.field, error.problem, error.remedy]}
+    except MemoryError:
+        raise
+    except BaseException as error:  # readers raise whatever the bytes lead them to, and panics of LAZ are not even an Exception
+        facts = {"refused": ["content", f"cannot be read ({type(error).__name__}: {error})"[:200], AGAIN]}
+    answer(folder, facts)
+
+
+class _Writer:
+    """Columns that grow by chunks: each in a file of its own, joined at the end."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._files, self._kinds = folder, dict[str, BinaryIO](), dict[str, tuple[str, int]]()
+        self.rows = 0
+
+    def add(self, columns: Columns) -> None:
+        """Append rows of all columns, shape (n,) or (n, k) each."""
+        for key, values in columns.items():
+            if key not in self._files:
+                self._files[key] = (self._folder / f"{key}.part").open("wb")
+                self._kinds[key] = (values.dtype.str, values.shape[1] if values.ndim == 2 else 1)
+            self._files[key].write(np.ascontiguousarray(values).tobytes())
+        self.rows += len(next(iter(columns.values())))
+
+    def facts(self) -> dict[str, list[Any]]:
+        """Join the files, and return dtype, width and offset of each column."""
+        stated: dict[str, list[Any]] = {}
+        with (self._folder / COLUMNS).open("wb") as whole:
+            for key, file in self._files.items():
+                file.close()
+                part = self._folder / f"{key}.part"
+                stated[key] = [*self._kinds[key], whole.tell()]
+                with part.open("rb") as source:
+                    while data := source.read(1 << 24):
+                        whole.write(data)
+                part.unlink()
+        return stated
+
+
+def _read_las(path: Path, name: str, folder: Path) -> dict[str, Any]:
+    import laspy
+
+    notes: list[str] = []
+    writer = _Writer(folder)
+    withheld = noise = 0
+    with laspy.open(path) as reader:
+        head = reader.header
+        check_count(head.point_count, name)
+        names = list(head.point_format.dimension_names)
+        extra = [word for word in head.point_format.extra_dimension_names if word.lower() in (*INSTANCE_NAMES, *LABEL_NAMES)]
+        has_color = {"red", "green", "blue"} <= set(names)
+        for chunk in reader.chunk_iterator(CHUNK):
+            out = np.asarray(chunk.withheld).astype(bool) if "withheld" in names else np.zeros(len(chunk), bool)
+            is_noise = np.isin(np.asarray(chunk.classification), NOISE) & ~out
+            withheld, noise = withheld + int(out.sum()), noise + int(is_noise.sum())
+            used = ~(out | is_noise)
+            columns: Columns = {"positions": np.stack([chunk.x, chunk.y, chunk.z], axis=1).astype("<f8")[used]}
+            if has_color:
+                columns["colors"] = np.stack([chunk.red, chunk.green, chunk.blue], axis=1).astype("<u2")[used]
+            columns |= {word.lower(): np.asarray(chunk[word]).reshape(len(chunk), -1)[used, 0].astype("<f8") for word in extra}
+            writer.add(columns)
+        if head.point_count != writer.rows + withheld + noise:
+            raise InputError(name, "points", f"are {writer.rows + withheld + noise}, the header states {head.point_count}", AGAIN)
+        notes += [f"{name}: {count} points {reason}: left out" for count, reason in (
+            (withheld, "are marked as withheld"), (noise, "are classified as noise"),
+        ) if count]  # fmt: skip
+        unused = [word for word in ("intensity", "classification", "gps_time", *head.point_format.extra_dimension_names)
+                  if word in names and word not in extra]  # fmt: skip
+        notes += [f"{name}: {', '.join(unused)}: not used"] if unused else []
+        unit = _las_unit(head, notes, name)
+    return {"columns": writer.facts(), "unit_m": unit, "notes": notes, "sensors": []}
+
+
+_FEET = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
+"""Meters per linear unit, by its EPSG code: meter, foot, US survey foot."""
+
+_LINEAR_KEY, _KEY_DIRECTORY, _WKT = 3076, 34735, 2112
+
+
+def _las_unit(head: Any, notes: list[str], name: str) -> float | None:
+    """Meters per unit that the coordinate system of a LAS file states, None without one."""
+    import re
+
+    for record in head.vlrs:
+        if record.record_id == _KEY_DIRECTORY and "LASF_Projection" in record.user_id:
+            for key in getattr(record, "geo_keys", []):
+                if key.id == _LINEAR_KEY and key.value_offset in _FEET:
+                    return _FEET[key.value_offset]
+        if record.record_id == _WKT and "LASF_Projection" in record.user_id:
+            text = getattr(record, "string", "")
+            if text.startswith("GEOG"):
+                raise InputError(name, "coordinate system", "is in degrees", "project the points to meters, to UTM")
+            # The unit of a projection follows its parameters; units before them are of angles.
+            units = re.findall(r'(?:LENGTHUNIT|UNIT)\s*\[\s*"([^"]*)"\s*,\s*([0-9.eE+-]+)', text)
+            lengths = [(word, float(number)) for word, number in units if re.search(r"(?i)met|foot|feet|ft", word)]
+            if lengths and 0.0 < lengths[-1][1] < 1e4:
+                notes.append(f"{name}: the coordinate system states the unit {lengths[-1][0]}")
+                return lengths[-1][1]
+    return None
+
+
+_CARTESIAN, _SPHERICAL = ("cartesianX", "cartesianY", "cartesianZ"), ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+_COLOR = ("colorRed", "colorGreen", "colorBlue")
+
+
+def _read_e57(path: Path, name: str, folder: Path) -> dict[str, Any]:
+    import pye57
+
+    notes: list[str] = []
+    writer = _Writer(folder)
+    sensors: list[list[float]] = []
+    with pye57.E57(str(path)) as file:
+        headers = [file.get_header(number) for number in range(file.scan_count)]
+        check_count(sum(header.point_count for header in headers), name)
+        is_colored = bool(headers) and all(set(_COLOR) <= set(header.point_fields) for header in headers)
+        if not is_colored and any(set(_COLOR) <= set(header.point_fields) for header in headers):
+            notes.append(f"{name}: some of the {len(headers)} scans have no colors: colors are not used")
+        for number, header in enumerate(headers):
+            fields = set(header.point_fields)
+            axes = next((axes for axes in (_CARTESIAN, _SPHERICAL) if set(axes) <= fields), None)
+            if axes is None:
+                notes.append(f"{name}: scan {number} has no coordinates: left out")
+                continue
+            # A scanner stands where its pose says; without a pose, a grid begins at the scanner.
+            is_known = header.has_pose() or "rowIndex" in fields
+            for columns in _e57_chunks(file, header, axes, is_colored):
+                columns["sensor_of"] = np.full(len(columns["positions"]), len(sensors) if is_known else -1, "<i4")
+                writer.add(columns)
+            if is_known:
+                sensors.append([float(v) for v in header.translation])
+        unused = sorted({field for header in headers for field in header.point_fields} & {"intensity", "timeStamp", "returnIndex"})
+        notes += [f"{name}: {', '.join(unused)}: not used"] if unused else []
+        images = len(file.root["images2D"]) if file.root.isDefined("images2D") else 0
+        notes += [f"{name}: {images} images: not used"] if images else []
+    return {"columns": writer.facts(), "unit_m": 1.0, "notes": notes, "sensors": sensors}
+
+
+def _e57_chunks(file: Any, header: Any, axes: tuple[str, ...], is_colored: bool) -> Iterator[Columns]:
+    """Valid points of a scan in the frame of the file, some at a time."""
+    from pye57 import libe57
+
+    count = min(CHUNK, max(header.point_count, 1))
+    invalid = f"{'cartesian' if axes is _CARTESIAN else 'spherical'}InvalidState"
+    wanted = dict.fromkeys([*axes, *(_COLOR if is_colored else ())], "f8")
+    wanted |= {invalid: "i4"} if invalid in header.point_fields else {}
+    arrays = {word: np.zeros(count, dtype) for word, dtype in wanted.items()}
+    buffers = libe57.VectorSourceDestBuffer()
+    for word, array in arrays.items():
+        buffers.append(libe57.SourceDestBuffer(file.image_file, word, array, count, True, True))
+    reader = header.points.reader(buffers)
+    turn, move = header.rotation_matrix, header.translation
+    low, high = _color_limits(header) if is_colored else (0.0, 255.0)
+    while read := reader.read():
+        used = arrays[invalid][:read] == 0 if invalid in arrays else np.ones(read, bool)
+        points = np.stack([arrays[axis][:read] for axis in axes], axis=1)[used]
+        if axes is _SPHERICAL:
+            distance, azimuth, elevation = points.T
+            flat = distance * np.cos(elevation)
+            points = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)], axis=1)
+        columns: Columns = {"positions": (points @ turn.T + move).astype("<f8")}
+        if is_colored:
+            colors = np.stack([arrays[word][:read] for word in _COLOR], axis=1)[used]
+            scaled = np.nan_to_num((colors - low) * (255.0 / (high - low)))
+            columns["colors"] = np.rint(np.clip(scaled, 0.0, 255.0)).astype("u1")
+        yield columns
+    reader.close()
+
+
+def _color_limits(header: Any) -> tuple[float, float]:
+    """Least and largest value of colors: 0 to 255, unless the scan states others."""
+    try:
+        low, high = (float(header.node["colorLimits"][f"colorRed{word}"].value()) for word in ("Minimum", "Maximum"))
+    except Exception:  # the library's own error for a scan without limits
+        return 0.0, 255.0
+    return (low, high) if np.isfinite([low, high]).all() and high > low else (0.0, 255.0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""A scan made of points: their surface, in meters with +Z up, with the objects that the file names."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import InputError
+from tasks.capture.bare_mesh.upright import HEIGHTS_M, LENGTHS_M, STOREY_M, UNITS, Stated, bare_reading
+from tasks.capture.files.ply import check_vertices
+from tasks.capture.files.ply_elements import GRAY
+from tasks.capture.files.survey import survey_shift
+from tasks.capture.point_cloud.normals import oriented_normals
+from tasks.capture.point_cloud.points import MIN_POINTS, LabelledPoints, Points
+from tasks.capture.point_cloud.surface import surface_of_points
+from tasks.capture.point_cloud.thinning import first_in_voxels, spacing_of, thinned
+from tasks.capture.reading import Group, Reading, groups_of
+from tasks.geometry.meshes import Surface
+from tasks.geometry.transforms import transform_points
+
+Array = NDArray[np.float64]
+
+MIN_VOXEL_M, MAX_VOXEL_M = 0.02, 0.08
+"""Sides of voxels: that of fused frames, and the largest one whose faces still count as dense."""
+
+MIN_VOXELS_ALONG = 100
+"""Voxels along the longest side at least: a table top is resolved better than a room."""
+
+VOXEL_SPACINGS = 1.5
+"""Side of a voxel in spacings of the points: then each cell that a surface crosses has points in its reach."""
+
+MAX_VOXELS = 600_000
+"""Voxels with points: about as many vertices has the surface. A room of 240 m2 surface has them at 2 cm."""
+
+POINTS_PER_VOXEL = 2.0
+"""Thinned points along a voxel's side: more do not change its mean."""
+
+
+def cloud_reading(points: Points, stated: Stated, name: str, license: str | None, notes: Sequence[str]) -> Reading:
+    """Reading of a cloud. stated: unit and axes by the file or its kind.
+
+    Raises:
+        InputError: too few points, or of no size that any unit explains.
+    """
+    lines = [*notes, *points.notes]
+    points, left_out = _finite(points, name)
+    lines += left_out
+    if len(points.positions) < MIN_POINTS:
+        raise InputError(name, "points", f"are {len(points.positions)}, a surface needs {MIN_POINTS}", "is it a scan of a room?")
+    unit = _unit(points.positions, stated.unit_m)
+    low = points.positions.min(axis=0)
+    check_vertices((points.positions - low) * unit, name)
+    survey_shift(points.positions * unit, name)  # refuses coordinates that were stored too coarsely
+    points = dataclasses.replace(points, positions=points.positions - low, sensors=None if points.sensors is None else points.sensors - low)
+    cloud = _surface(points, unit, name)
+    surface = dataclasses.replace(cloud.surface, vertices=cloud.surface.vertices + low)
+    if points.colors is None:
+        lines.append(f"{name}: has no colors: drawn in gray")
+    lines += [f"{name}: {note}" for note in cloud.notes]
+    reading = bare_reading([surface.to_trimesh()], stated, lines, license, name)
+    if cloud.points.objects is None or reading.surface is None:
+        return reading
+    # The reading welds, turns and moves vertices: each gets the object of the place that it came from.
+    assert reading.from_file is not None
+    places = transform_points(reading.surface.vertices, np.linalg.inv(reading.from_file)) - low
+    groups = groups_of_points(cloud.points.positions, cloud.points.objects, places, reading.surface, name)
+    return dataclasses.replace(reading, groups=groups)
+
+
+@dataclasses.dataclass(frozen=True)
+class CloudSurface:
+    """A surface, the thinned points that it lies on, in the same frame and unit, and notes."""
+
+    surface: Surface
+    points: Points
+    notes: tuple[str, ...]
+
+
+def _surface(points: Points, unit: float, name: str) -> CloudSurface:
+    """The surface of points near the origin. unit: meters per unit."""
+    from scipy.spatial import cKDTree
+
+    # Thin before the spacing is measured: scanners leave a hundred points in a voxel near them, and none farther away.
+    finest = min(MIN_VOXEL_M / unit, float(np.ptp(points.positions, axis=0).max()) / MIN_VOXELS_ALONG)
+    cloud = thinned(points, finest / POINTS_PER_VOXEL)
+    spacing = spacing_of(cloud.positions)
+    voxel = float(np.clip(VOXEL_SPACINGS * spacing, finest, MAX_VOXEL_M / unit))
+    while len(first_in_voxels(cloud.positions, voxel)) > MAX_VOXELS and voxel < MAX_VOXEL_M / unit:
+        voxel = min(voxel * 1.25, MAX_VOXEL_M / unit)
+    if voxel / POINTS_PER_VOXEL > spacing:
+        cloud = thinned(cloud, voxel / POINTS_PER_VOXEL)
+    tree = cKDTree(cloud.positions)
+    normals = oriented_normals(cloud, tree, voxel, unit)
+    colors = cloud.colors if cloud.colors is not None else np.full(cloud.positions.shape, GRAY, np.uint8)
+    surface = surface_of_points(cloud.positions, normals.values, colors, voxel, tree)
+    if not len(surface.faces):
+        problem = f"lie {spacing * unit:.3g} m apart, too far for a surface" if spacing * unit > MAX_VOXEL_M else "show no surface"
+        raise InputError(name, "points", problem, "export them more densely, a point every 2 cm")
+    notes = [
+        f"a point cloud of {len(points.positions)} points: its surface is estimated, with voxels of {100 * voxel * unit:.3g} cm",
+        normals.note,
+    ]
+    if spacing * unit > MAX_VOXEL_M / VOXEL_SPACINGS:
+        notes.append(f"points lie {100 * spacing * unit:.3g} cm apart: the surface has holes")
+    return CloudSurface(surface, cloud, tuple(notes))
+
+
+def groups_of_points(
+    positions: Array, objects: LabelledPoints, vertices: Array, surface: Surface, name: str
+) -> tuple[Group, ...]:  # fmt: skip
+    """Objects of a surface by those of the nearest points; objects without a vertex are left out.
+
+    positions: of the points, shape (n, 3). vertices: those of `surface` in the frame of the points, shape (m, 3).
+    """
+    from scipy.spatial import cKDTree
+
+    owner = objects.owner[cKDTree(positions).query(vertices)[1]]
+    order = np.argsort(owner, kind="stable")
+    starts = np.searchsorted(owner[order], np.arange(len(objects.named) + 1))
+    named = [(*objects.named[i], np.sort(order[starts[i] : starts[i + 1]])) for i in range(len(objects.named))]
+    groups = groups_of(named, owner, surface)
+    return tuple(dataclasses.replace(group, origin=f"{name}: object {group.source_id}") for group in groups if len(group.vertices))
+
+
+def _finite(points: Points, name: str) -> tuple[Points, list[str]]:
+    """Points with coordinates, and a line on the others."""
+    is_finite = np.all(np.isfinite(points.positions) & (np.abs(points.positions) < 1e12), axis=1, keepdims=True)[:, 0]
+    missing = int((~is_finite).sum())
+    if not missing:
+        return points, []
+    return points.at(is_finite), [f"{name}: {missing} points without coordinates: left out"]
+
+
+def _unit(positions: Array, stated: float | None) -> float:
+    """Meters per unit: the stated one, otherwise the first one that makes a room of a plausible size."""
+    if stated is not None:
+        return stated
+    extents = np.ptp(positions, axis=0)
+
+    def is_plausible(unit: float) -> bool:
+        height, length = float(extents[2]) * unit, float(extents.max()) * unit
+        return HEIGHTS_M[0] <= height <= HEIGHTS_M[1] and LENGTHS_M[0] <= length <= LENGTHS_M[1]
+
+    if is_plausible(1.0):
+        return 1.0
+    plausible = [unit for _, unit in UNITS if is_plausible(unit)]
+    return min(plausible, key=lambda unit: abs(np.log(float(extents[2]) * unit / STOREY_M)), default=1.0)
