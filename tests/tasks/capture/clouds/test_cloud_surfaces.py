@@ -18,7 +18,7 @@ from tasks.capture.point_cloud.points import Points, labelled
 from tasks.capture.point_cloud.scene import cloud_reading
 from tasks.capture.point_cloud.thinning import thinned
 from tasks.capture.reading import Reading
-from tasks.geometry.transforms import transform_points
+from tasks.geometry.transforms import matrix, transform_points
 from tasks.geometry.triangles import face_normals
 from tasks.stage import Context
 from tests.capture_scans import OBJECTS, box_room, ply_bytes
@@ -134,7 +134,6 @@ def test_a_room_of_points_is_captured_as_its_mesh_is(tmp_path: Path) -> None:
     mesh, points = outcomes["mesh"].rows, outcomes["points"].rows
     assert abs(mesh["shells"][0].floor_area_m2 - points["shells"][0].floor_area_m2) < 0.2
     assert abs(mesh["shells"][0].height_m - points["shells"][0].height_m) < 0.03
-    free = [[row for row in rows["instances"] if not row.is_structure] for rows in (mesh, points)]
-    for box in free[0]:
-        nearest = min(free[1], key=lambda other: float(np.linalg.norm(np.subtract(other.box_center, box.box_center))))
-        assert np.linalg.norm(np.subtract(nearest.box_center, box.box_center)) < 0.05
+    free = [[matrix(row.box_pose)[:3, 3] for row in rows["instances"] if not row.is_structure] for rows in (mesh, points)]
+    for center in free[0]:
+        assert min(float(np.linalg.norm(center - other)) for other in free[1]) < 0.05
