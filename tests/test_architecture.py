@@ -310,6 +310,7 @@ OWN = {
     "tasks/batches.py": "the schema of the package",
     "tasks/calls/guard.py": "/proc",
     "tasks/captions/physics.py": "tables of the package",
+    "tasks/capture/point_cloud/child.py": "columns that it writes for its parent",
     "tasks/capture/record3d/archive.py": "what its reader checked",
     "tasks/capture/instances/naming.py": "a table of the package",
     "tasks/capture/poses/open3d.py": "what a child process of ours reads",

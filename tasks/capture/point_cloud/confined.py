@@ -10,7 +10,7 @@ import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import check_file, read_file
+from schemas.files import open_file, read_file
 from schemas.machine.scratch import temporary_folder
 from tasks.capture.files.ply_elements import as_bytes
 from tasks.capture.point_cloud.child import COLUMNS
@@ -31,8 +31,7 @@ def read_confined(path: Path, name: str, kind: str) -> Points:
     """
     package, magic, setup = _READERS[kind]
     try:
-        check_file(path, name, BUDGET.scene_bytes)
-        with path.open("rb") as file:
+        with open_file(path, name, BUDGET.scene_bytes) as file:
             if file.read(len(magic)) != magic:
                 raise InputError(name, "content", f"does not begin with {magic.decode()!r}", "is it the right file?")
     except OSError as error:
