@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import check_file
+from schemas.wording import counted
 from tasks.capture.consistency.findings import Statements, settled
 from tasks.capture.files.documents import json_floats, license_of, name_of, read_bytes, read_json
 from tasks.capture.files.frames import frame_sources, one_size
@@ -81,13 +82,13 @@ def read_record3d(scan: Scan) -> Reading:
         own = (place / path.relative_to(folder), confidence and place / confidence.relative_to(folder))
         return partial(_depth, *own, place, depth_size)
 
-    poses = _poses(document.get("poses"), name)
+    poses, wrong = _poses(document.get("poses"), name)
     known = [poses[number] if number < len(poses) else None for number in numbers]
     sources, more = frame_sources(frames, folder, size, depth_size, both, 1.0, known, {}, reader)
     statements = Statements(name, name, f"{folder.name}/{PLACE}", "OpenGL", has_quaternions=True, from_file=Y_UP_TO_Z_UP)
     sources, findings = settled(sources, statements)
     license = license_of(license_path(folder, scan.premises))
-    return Reading(surface=None, frames=sources, license=license, degradations=(*notes, *more, *findings), from_file=Y_UP_TO_Z_UP)
+    return Reading(surface=None, frames=sources, license=license, degradations=(*notes, *wrong, *more, *findings), from_file=Y_UP_TO_Z_UP)
 
 
 def _opened(path: Path) -> tuple[Path, list[str]]:
@@ -158,23 +159,40 @@ def _lenses(document: dict[str, Any], name: str, numbers: Sequence[int], size: t
     return lenses
 
 
-def _poses(value: Any, name: str) -> list[Pose | None]:
-    """Poses, OpenCV camera to the +Z-up frame, 4x4 [m]; of none, none. The file has qx qy qz qw tx ty tz of an OpenGL camera, +Y up."""
+def _poses(value: Any, name: str) -> tuple[list[Pose | None], list[str]]:
+    """Poses, OpenCV camera to the +Z-up frame, 4x4 [m], and a note on rows that state none.
+
+    The file has qx qy qz qw tx ty tz of an OpenGL camera, +Y up.
+    """
     if value is None:
-        return []
+        return [], []
     if not isinstance(value, list):
         raise InputError(name, "poses", "must be a list", "is it the right file?")
     poses: list[Pose | None] = []
+    wrong: list[str] = []
     for index, entry in enumerate(value):
-        values = json_floats(entry, name, f"poses[{index}]", 7)
-        quaternion = values[:4]
-        norm = float(np.linalg.norm(quaternion))
-        if not 0.9 < norm < 1.1:
+        try:
+            poses.append(_pose(entry, name, f"poses[{index}]"))
+        except InputError as error:
             poses.append(None)
-            continue
-        qx, qy, qz, qw = (float(v) / norm for v in quaternion)
-        poses.append(Y_UP_TO_Z_UP @ pose_from_quaternion_wxyz((qw, qx, qy, qz), values[4:]) @ OPENGL_TO_OPENCV)
-    return poses
+            wrong.append(str(error))
+    if not wrong:
+        return poses, []
+    return poses, [f"{wrong[0]}: {counted(len(wrong), 'frame')} of {len(value)} without a pose"]
+
+
+def _pose(row: Any, name: str, field: str) -> Pose:
+    """Pose of one row.
+
+    Raises:
+        InputError: the row is not seven numbers, or its quaternion has another length than 1.
+    """
+    values = json_floats(row, name, field, 7)
+    norm = float(np.linalg.norm(values[:4]))
+    if not 0.9 < norm < 1.1:
+        raise InputError(name, field, f"has a quaternion of length {norm:.3g}", "export the recording again")
+    qx, qy, qz, qw = (float(v) / norm for v in values[:4])
+    return Y_UP_TO_Z_UP @ pose_from_quaternion_wxyz((qw, qx, qy, qz), values[4:]) @ OPENGL_TO_OPENCV
 
 
 def _count(document: dict[str, Any], key: str, name: str) -> int:

@@ -119,10 +119,29 @@ def test_each_frame_may_have_a_lens_of_its_own(tmp_path: Path) -> None:
         read(tmp_path)
 
 
-@pytest.mark.parametrize(("key", "value"), [("K", [1.0]), ("dw", 0), ("dh", "many"), ("poses", [[1, 2]]), ("poses", 7)])
+@pytest.mark.parametrize(("key", "value"), [("K", [1.0]), ("dw", 0), ("dh", "many"), ("poses", 7)])
 def test_metadata_that_is_none_is_refused(key: str, value: object, tmp_path: Path) -> None:
     write_sample(tmp_path / "a")
     path = tmp_path / "a" / "metadata"
     path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
     with pytest.raises(InputError, match=rf"^a/metadata: {key}"):
         read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("row", "problem"),
+    [([1, 2], "must be 7 numbers"), (None, "must be 7 numbers"), ([0.0] * 7, "has a quaternion of length 0"), (["x"] * 7, "must be 7")],
+)
+def test_a_row_that_is_no_pose_costs_its_frame(row: object, problem: str, tmp_path: Path) -> None:
+    write_sample(tmp_path / "a")
+    path = tmp_path / "a" / "metadata"
+    document = json.loads(path.read_text())
+    whole = read(tmp_path)
+    document["poses"][1] = row
+    path.write_text(json.dumps(document))
+    reading = read(tmp_path)
+    assert [frame.pose is None for frame in reading.frames] == [False, True, False]
+    np.testing.assert_array_equal(reading.frames[2].pose, whole.frames[2].pose)
+    (note,) = (line for line in reading.degradations if "poses[1]" in line)
+    assert note.startswith(f"a/metadata: poses[1]: {problem}")
+    assert note.endswith("1 frame of 3 without a pose")
