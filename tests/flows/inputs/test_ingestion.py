@@ -34,6 +34,7 @@ from tasks import exports
 from tasks.capture.labels import label_map
 from tasks.geometry.transforms import yaw_pose
 from tasks.ingestion.habitat import read_habitat
+from tasks.ingestion.metascenes import read_metascenes
 from tasks.ingestion.models import read_model
 from tasks.ingestion.sources import find_sources
 from tasks.stats.scenes import PictureConfig
@@ -360,22 +361,6 @@ def obj(root: Path) -> Path:
 RELEASE_DAMAGE: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "json cut off": (lambda root: os.truncate(root / "Physical_simu" / f"{SECOND}.json", 50), f"{SECOND}.json", "is no JSON"),
     "matrix not finite": (matrix(lambda m: m[0].__setitem__(3, float("inf"))), f"{SECOND}.json", "Infinity"),
-    "matrix of three rows": (matrix(lambda m: m.pop()), "matrix.2", "shape (3, 4)"),
-    "matrix of words": (matrix(lambda m: m.__setitem__(0, ["a", "b", "c", "d"])), "matrix.2", "no matrix of numbers"),
-    "column by column": (matrix(lambda m: m.__setitem__(slice(None), np.transpose(m).tolist())), "matrix.2", "last row"),
-    "mirrored": (matrix(lambda m: [row.__setitem__(0, -row[0]) for row in m]), "matrix.2", "mirrors"),
-    "sheared": (matrix(lambda m: [row.__setitem__(0, row[0] + row[1]) for row in m[:3]]), "matrix.2", "shears"),
-    "in another unit": (matrix(lambda m: [row.__setitem__(3, row[3] * 1e9) for row in m[:3]]), "matrix.2", "finite numbers in metres"),
-    "mesh empty": (lambda root: obj(root).write_text(""), "2.obj", "2.obj"),
-    "mesh of bytes": (lambda root: obj(root).write_bytes(bytes(range(256)) * 40), "2.obj", "2.obj"),
-    "corners not finite": (lambda root: obj(root).write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "2.obj", "finite"),
-    "corners that are not there": (lambda root: obj(root).write_text("v 0 0 0\nv 1 0 0\nf 1 2 9\n"), "2.obj", "2.obj"),
-    "materials outside": (
-        lambda root: obj(root).write_text(obj(root).read_text().replace("material.mtl", "../../../../../../etc/passwd")),
-        "2.obj",
-        "outside the dataset's folder",
-    ),
-    "mesh a link outside": (lambda root: obj(root).unlink() or obj(root).symlink_to("/etc/hostname"), "2.obj", "leads out"),
     "scan a link outside": (
         lambda root: shutil.move(p := root / "Annotation_scenes" / SECOND, root.parent / "away") and p.symlink_to(root.parent / "away"),
         SECOND,
@@ -394,6 +379,47 @@ RELEASE_DAMAGE: dict[str, tuple[Callable[[Path], object], str, str]] = {
     ),
     "names of another kind": (lambda root: (root / "instance_id_to_name" / f"{SECOND}.json").write_text("3"), f"{SECOND}.json", "names"),
 }
+
+PART_DAMAGE: dict[str, tuple[Callable[[Path], object], str, str]] = {
+    "matrix of three rows": (matrix(lambda m: m.pop()), "matrix.2", "shape (3, 4)"),
+    "matrix of words": (matrix(lambda m: m.__setitem__(0, ["a", "b", "c", "d"])), "matrix.2", "no matrix of numbers"),
+    "column by column": (matrix(lambda m: m.__setitem__(slice(None), np.transpose(m).tolist())), "matrix.2", "last row"),
+    "mirrored": (matrix(lambda m: [row.__setitem__(0, -row[0]) for row in m]), "matrix.2", "mirrors"),
+    "sheared": (matrix(lambda m: [row.__setitem__(0, row[0] + row[1]) for row in m[:3]]), "matrix.2", "shears"),
+    "in another unit": (matrix(lambda m: [row.__setitem__(3, row[3] * 1e9) for row in m[:3]]), "matrix.2", "finite numbers in metres"),
+    "mesh empty": (lambda root: obj(root).write_text(""), "2.obj", "2.obj"),
+    "mesh of bytes": (lambda root: obj(root).write_bytes(bytes(range(256)) * 40), "2.obj", "2.obj"),
+    "corners not finite": (lambda root: obj(root).write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "2.obj", "finite"),
+    "corners that are not there": (lambda root: obj(root).write_text("v 0 0 0\nv 1 0 0\nf 1 2 9\n"), "2.obj", "2.obj"),
+    "materials outside": (
+        lambda root: obj(root).write_text(obj(root).read_text().replace("material.mtl", "../../../../../../etc/passwd")),
+        "2.obj",
+        "outside the dataset's folder",
+    ),
+    "mesh a link outside": (lambda root: obj(root).unlink() or obj(root).symlink_to("/etc/hostname"), "2.obj", "leads out"),
+}
+"""Faults of one object of a release."""
+
+
+@pytest.mark.parametrize("damage", PART_DAMAGE)
+def test_a_damaged_object_of_a_release_costs_no_other(damage: str, release: Path, tmp_path: Path) -> None:
+    root = tmp_path / "MetaScenes"
+    shutil.copytree(release, root)
+    labels = label_map()
+    before = [read_metascenes(source, labels) for source in find_sources("metascenes", root, "released")]
+    harm, where, problem = PART_DAMAGE[damage]
+    harm(root)
+    after = [read_metascenes(source, labels) for source in find_sources("metascenes", root, "released")]
+    told = set(after[1].notes) - set(before[1].notes)
+    (note,) = (line for line in told if "there is no such object" not in line)
+    assert where in note
+    assert problem in note
+    assert "\n" not in note
+    is_kept = "matrix" in where
+    assert [one.source_id for one in after[1].objects] == [one.source_id for one in before[1].objects if is_kept or one.source_id != "2"]
+    for one, other in zip(after[1].objects[is_kept:], before[1].objects[1:], strict=True):
+        assert np.array_equal(one.pose, other.pose)
+    assert [one.source_id for one in after[0].objects] == [one.source_id for one in before[0].objects]
 
 
 @pytest.mark.parametrize("damage", RELEASE_DAMAGE)
