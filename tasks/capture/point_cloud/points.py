@@ -100,7 +100,9 @@ def points_of_columns(columns: Mapping[str, PlyColumn], name: str, notes: Sequen
     colors = normals = None
     channels = color_names(set(lower.values()))
     if channels is not None:
-        colors = as_bytes(np.stack([columns[channel].values for channel in channels], axis=1), columns[channels[0]].kind)
+        # All channels have one scale: that of fractions if any has fractions, otherwise that of the widest type.
+        kind = max((columns[channel].kind for channel in channels), key=lambda kind: (kind[0] == "f", int(kind[1:])))
+        colors = as_bytes(np.stack([columns[channel].values for channel in channels], axis=1), kind)
         used |= set(channels)
     axes = next((names for names in _NORMALS if all(axis in lower for axis in names)), None)
     if axes is not None:

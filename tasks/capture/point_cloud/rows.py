@@ -32,18 +32,29 @@ MAX_COLUMNS = 64
 MAX_LINE_BYTES = 65536
 """Rows are shorter."""
 
+MAX_TITLE_LINES = 50
+"""Lines before the first row: programs write a header, a count and some comments."""
+
 _AGAIN = "export the points again"
-_DECIMAL_COMMA = re.compile(rb"\s*(-?\d+,\d+[\s;]+){2,}-?\d+,\d+")
-_WORDS = re.compile(r"[A-Za-z_][\w.]*")
+_INNER_COMMA = re.compile(rb"\d,[-+.\d]")
+_SEVERAL_COMMAS = re.compile(rb"\d,[-+.\deE]+,[-+.\d]|\d,[-+]")
+_COMMA_AND_BLANK = re.compile(rb"\d,[ \t]+[-+.\d]")
+_OTHER_SEPARATOR = re.compile(rb"[.\d][ \t;]+[-+.\d]")
+_DECIMAL_POINT = re.compile(rb"\d\.\d")
+_UNITS = re.compile(r"[\[(][^\])]*[\])]")
 
 
 @dataclasses.dataclass(frozen=True)
 class TextTable:
-    """Rows of a text. values: shape (n, width). header: names of the columns, empty without a header. stated: rows that count lines
-    state, None without any. damaged: rows that were left out. notes: a line each."""
+    """Rows of a text.
+
+    values: shape (n, width). titles: lines of words before the first row. comments: comments before it.
+    stated: rows that count lines state, None without any. damaged: rows that were left out. notes: a line each.
+    """
 
     values: Table
-    header: tuple[str, ...] = ()
+    titles: tuple[str, ...] = ()
+    comments: tuple[str, ...] = ()
     stated: int | None = None
     damaged: int = 0
     notes: tuple[str, ...] = ()
@@ -53,7 +64,7 @@ def read_point_rows(path: Path, name: str) -> Points:
     """Points of an XYZ or PTS file.
 
     Raises:
-        InputError: it is not a table of numbers, too large, or shorter than its count says.
+        InputError: it is not a table of numbers, too large, shorter than its count says, or its header lacks x, y or z.
     """
     try:
         with open_file(path, name, BUDGET.scene_bytes) as file:
@@ -66,58 +77,60 @@ def read_point_rows(path: Path, name: str) -> Points:
     if width < 3:
         raise InputError(name, "columns", f"are {width}, a point needs 3", _AGAIN)
     notes = list(table.notes)
-    names = _header_names(table.header, width)
+    names = _header_names(table, name)
     if names is None:
         names = _guessed_names(table.values, path.suffix.lower() == ".pts")
         notes.append(f"{name}: columns are read as {', '.join(names)}, which it does not say")
-    kinds = ["u2" if _is_whole_bytes(table.values[:, i]) else "f8" for i in range(width)]
-    columns = {word: PlyColumn(table.values[:, i], kinds[i]) for i, word in enumerate(names)}
+    kind = "u2" if _has_whole_colors(table.values, names) else "f8"
+    columns = {word: PlyColumn(table.values[:, i], kind) for i, word in enumerate(names)}
     return points_of_columns(columns, name, notes)
 
 
 def read_rows(file: BinaryIO, name: str, width: int = 0, count: int | None = None) -> TextTable:
     """Rows of numbers in the rest of a file.
 
-    width: numbers in a row; 0 takes those of the first row. count: rows to read, None for all.
+    width: numbers in a row; 0 takes those of the first row. count: lines to read, None for all.
 
     Raises:
-        InputError: the text is not a table, or it has more rows than the budget.
+        InputError: the text is not a table, it has more rows than the budget, or its commas are ambiguous.
     """
     tables: list[Table] = []
-    header: tuple[str, ...] = ()
+    titles: tuple[str, ...] = ()
+    comments: tuple[str, ...] = ()
     rows = bad = 0
     stated: int | None = None
-    has_commas: bool | None = None
+    has_decimal_commas: bool | None = None
     for block in _blocks(file, name):
         lines = block
         if b"#" in lines or b"//" in lines:
-            if not rows and not header:
-                header = _commented_header(lines)
+            comments += () if rows else _comments(lines)
             lines = re.sub(rb"(?m)(#|//).*$", b"", lines)
-        if has_commas is None and lines.strip():
-            has_commas = _DECIMAL_COMMA.match(lines.lstrip().split(b"\n", 2)[-1 if b"\n" in lines.lstrip() else 0]) is not None
-        lines = lines.replace(b",", b".") if has_commas else lines.replace(b",", b" ")
-        lines = lines.replace(b";", b" ").replace(b"\t", b" ")
         if not width:
-            width, counted, words, lines = _beginning(lines)
-            header = header or words
+            words, counted, lines = _beginning(lines)
+            titles += words
             stated = counted if counted is not None else stated
-            if not width:
-                continue
+        if has_decimal_commas is None and b"," in lines:
+            has_decimal_commas = _has_decimal_commas(lines, name)
+        lines = lines.replace(b",", b"." if has_decimal_commas else b" ").replace(b";", b" ").replace(b"\t", b" ")
+        width = width or _width(lines)
+        if not width:
+            continue
+        if count is not None:
+            lines = _first_lines(lines, count - rows - bad)
         values, more, wrong = _numbers(lines, width)
         stated = stated if more is None else (stated or 0) + more
         bad += wrong
         rows += len(values)
         check_count(rows, name)
         tables.append(values)
-        if count is not None and rows >= count:
+        if count is not None and rows + bad >= count:
             break
     if not rows or bad > max(1, MAX_BAD_SHARE * rows):
         problem = f"has {bad} rows that are not {width or 3} numbers, of {rows + bad}" if rows else "has no rows of numbers"
         raise InputError(name, "content", problem, "is it a file of points? x y z in each line are read")
     notes = (f"{name}: {bad} rows are not {width} numbers: left out",) if bad else ()
     whole = tables[0] if len(tables) == 1 else np.concatenate(tables)
-    return TextTable(whole[:count], header, stated, bad, notes)
+    return TextTable(whole, titles, comments, stated, bad, notes)
 
 
 def _blocks(file: BinaryIO, name: str) -> Iterator[bytes]:
@@ -136,31 +149,78 @@ def _blocks(file: BinaryIO, name: str) -> Iterator[bytes]:
         yield rest
 
 
-def _commented_header(lines: bytes) -> tuple[str, ...]:
-    """Names of columns in the comment before the first row, as `//X Y Z R G B`."""
-    first = lines.lstrip().split(b"\n", 1)[0]
-    if not first.startswith((b"#", b"//")):
-        return ()
-    words = _WORDS.findall(first.decode("latin-1"))
-    return tuple(words) if [word.lower() for word in words[:3]] == ["x", "y", "z"] else ()
+def _comments(lines: bytes) -> tuple[str, ...]:
+    """Comments before the first row, as `//X Y Z R G B`."""
+    comments = []
+    for line in lines.split(b"\n", MAX_TITLE_LINES)[:MAX_TITLE_LINES]:
+        if line.lstrip().startswith((b"#", b"//")):
+            comments.append(line.decode("latin-1").strip(" \t#/"))
+        elif len(line.split()) > 1 and _is_number(_words(line)[0]):
+            break
+    return tuple(comments)
 
 
-def _beginning(lines: bytes) -> tuple[int, int | None, tuple[str, ...], bytes]:
-    """Width of the first row, the count and the names of columns before it, and the lines from it on."""
+def _beginning(lines: bytes) -> tuple[tuple[str, ...], int | None, bytes]:
+    """Lines of words before the first row, the count between them, and the lines from the first row on."""
+    titles: list[str] = []
     counted: int | None = None
-    names: tuple[str, ...] = ()
-    for _ in range(3):
+    for _ in range(MAX_TITLE_LINES):
         line, _, rest = lines.lstrip().partition(b"\n")
-        words = line.split()
-        if not words:
-            return 0, counted, names, b""
+        words = _words(line)
         if len(words) == 1 and words[0].isdigit() and len(words[0]) < 13:
-            counted, lines = int(words[0]), rest
-        elif not names and [word.strip(b"\"'").lower() for word in words[:3]] == [b"x", b"y", b"z"]:
-            names, lines = tuple(word.strip(b"\"'").decode("latin-1") for word in words), rest
+            counted = int(words[0])
+        elif words and not any(map(_is_number, words)):
+            titles.append(line.decode("latin-1").strip())
         else:
-            return min(len(words), MAX_COLUMNS), counted, names, lines
-    return 0, counted, names, lines
+            break
+        lines = rest
+    return tuple(titles), counted, lines
+
+
+def _words(line: bytes) -> list[bytes]:
+    return [word for word in re.split(rb"[\s,;]+", line) if word]
+
+
+def _is_number(word: bytes) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _has_decimal_commas(lines: bytes, name: str) -> bool:
+    """True if commas are decimals: they stand inside of numbers that blanks, tabs or semicolons separate.
+
+    Raises:
+        InputError: commas and other characters may both separate numbers.
+    """
+    if not _INNER_COMMA.search(lines):
+        return False
+    # Without decimal points, `1,5, 2,5` may be two numbers or four.
+    if not _OTHER_SEPARATOR.search(lines):
+        is_ambiguous = bool(_COMMA_AND_BLANK.search(lines) and not _DECIMAL_POINT.search(lines))
+    else:
+        is_ambiguous = any(pattern.search(lines) for pattern in (_SEVERAL_COMMAS, _COMMA_AND_BLANK, _DECIMAL_POINT))
+    if is_ambiguous:
+        problem = "has commas that may separate numbers or be decimals"
+        raise InputError(name, "content", problem, "export it again, with blanks between numbers and decimal points")
+    return _OTHER_SEPARATOR.search(lines) is not None
+
+
+def _width(lines: bytes) -> int:
+    """Numbers in the first row that has only numbers, otherwise words in the first line; 0 without lines."""
+    rows = [line.split() for line in lines.split(b"\n", MAX_TITLE_LINES)[:MAX_TITLE_LINES]]
+    filled = [words for words in rows if words]
+    row = next((words for words in filled if len(words) > 1 and all(map(_is_number, words))), filled[0] if filled else [])
+    return min(len(row), MAX_COLUMNS)
+
+
+def _first_lines(lines: bytes, count: int) -> bytes:
+    """The first lines that are not blank: those after them may be of other elements."""
+    if lines.count(b"\n") < count:
+        return lines
+    return b"\n".join([line for line in lines.split(b"\n") if line.strip()][:count])
 
 
 def _numbers(lines: bytes, width: int) -> tuple[Table, int | None, int]:
@@ -192,12 +252,41 @@ def _numbers(lines: bytes, width: int) -> tuple[Table, int | None, int]:
     return np.array(rows, dtype=np.float64).reshape(-1, width), stated, bad
 
 
-def _header_names(header: tuple[str, ...], width: int) -> tuple[str, ...] | None:
-    """Names of the columns by a header, None without one that fits."""
-    if len(header) != width or len({word.lower() for word in header}) != width:
-        return None
-    short = {"r": "red", "g": "green", "b": "blue"}
-    return tuple(short.get(word.lower(), word.lower()) for word in header)
+def _header_names(table: TextTable, name: str) -> tuple[str, ...] | None:
+    """Names of the columns by a line before the rows, None without such a line.
+
+    Raises:
+        InputError: a header does not name x, y and z, or not as many columns as the rows have.
+    """
+    width = table.values.shape[1]
+    for line in (*table.titles, *table.comments):
+        names = _named_columns(line, width)
+        if names is not None:
+            return names
+    # Comments may be prose. Those that name the axes elsewhere than in the first columns contradict a guess.
+    lists = [re.findall(r"\w+", comment.lower()) for comment in table.comments]
+    contradicting = [
+        comment
+        for comment, words in zip(table.comments, lists, strict=True)
+        if {"x", "y", "z"} <= set(words) and words[:3] != ["x", "y", "z"]
+    ]
+    for line in (*table.titles, *contradicting):
+        problem = f"{line[:60]!r} does not name {width} columns with x, y and z"
+        raise InputError(name, "header", problem, "write a name for each column, as x y z red green blue")
+    return None
+
+
+def _named_columns(line: str, width: int) -> tuple[str, ...] | None:
+    """Names of columns in a line, which may state units in brackets; None for a line that does not name x, y and z."""
+    short = {"r": "red", "g": "green", "b": "blue", "rf": "red", "gf": "green", "bf": "blue"}
+    plain = _UNITS.sub("", line).strip("%!* ")
+    for text in (plain, plain.rpartition(":")[2]):
+        for separator in (r"[,;\t]", r"[\s,;]+"):
+            words = [word.strip(" \"'").lower() for word in re.split(separator, text)]
+            names = [short.get(word, word) for word in words if word]
+            if len(names) == width and all(names.count(axis) == 1 for axis in "xyz"):
+                return tuple(word if word not in names[:i] else f"column {i + 1}" for i, word in enumerate(names))
+    return None
 
 
 def _guessed_names(values: Table, is_pts: bool) -> tuple[str, ...]:
@@ -219,10 +308,12 @@ def _guessed_names(values: Table, is_pts: bool) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _is_whole_bytes(values: Table) -> bool:
-    """True for whole numbers of 0 to 65,535, as colors and classes are."""
+def _has_whole_colors(values: Table, names: tuple[str, ...]) -> bool:
+    """True for colors that are whole numbers of more than 1 in all channels together: fractions may be whole in one."""
+    channels = [names.index(word) for word in ("red", "green", "blue") if word in names]
+    colors = values[:, channels]
     with np.errstate(invalid="ignore"):
-        return bool(((values >= 0) & (values <= 65535) & (values == np.floor(values))).all())
+        return bool(colors.size and (colors == np.floor(colors)).all() and colors.max() > 1)
 
 
 def _is_color(part: Table) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import laspy
@@ -9,12 +10,16 @@ import numpy as np
 import pye57
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from schemas.errors import InputError
+from tasks.capture.files.ply_elements import PlyColumn
 from tasks.capture.formats import find_scans, scan_files
 from tasks.capture.point_cloud import POINT_CLOUD, file_points
 from tasks.capture.point_cloud.pcd import read_pcd
-from tasks.capture.point_cloud.points import Points
+from tasks.capture.point_cloud.points import Points, points_of_columns
+from tasks.capture.point_cloud.rows import read_rows
 from tasks.geometry.rendering import RayScene
 from tests.capture_scans import box_room
 from tests.conftest import REPOSITORY
@@ -140,6 +145,111 @@ def test_text_is_read_by_its_header_or_its_values(text: str, rows: int, colors: 
     assert (len(points.positions), points.normals is not None) == (rows, normals)
     assert (None if points.colors is None else points.colors[0].tolist()) == colors
     assert points.positions[0].tolist() == ([1.5, 2.5, 3.5] if "1,5" in text else [1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("ID X Y Z R G B", "1 1.5 2.5 3.5 10 20 30"),
+        ("//ID X Y Z R G B", "1 1.5 2.5 3.5 10 20 30"),
+        ("# r g b x y z", "10 20 30 1.5 2.5 3.5"),
+        ("# fields: r g b x y z", "10 20 30 1.5 2.5 3.5"),
+        ("# a scan of a room\n\n# r, g, b, x [m], y [m], z [m]", "10,20,30,1.5,2.5,3.5"),
+        ("a scan of a room\nscan id;z;y;x;R;G;B", "1;3.5;2.5;1.5;10;20;30"),
+        ('"id","y","x","z","r","g","b"', "1,2.5,1.5,3.5,10,20,30"),
+        ("1\nid y x z r g b", "1 2.5 1.5 3.5 10 20 30"),
+        ("//X Y Z Rf Gf Bf\n1", "1.5 2.5 3.5 0.04 0.08 0.1176"),
+        ("id;x;y;z;r;g;b", "1;1,5;2,5;3,5;10;20;30"),
+    ],
+)
+def test_a_header_names_the_columns_in_any_order(header: str, row: str, tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_text(f"{header}\n{row}\n")
+    points = read(tmp_path, "a.xyz")
+    assert points.positions.tolist() == [[1.5, 2.5, 3.5]]
+    assert points.colors is not None
+    assert points.colors.tolist() == [[10, 20, 30]]
+    assert not any("does not say" in note for note in points.notes)
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("easting northing height", "1 2 3"),
+        ("R G B", "1 2 3"),
+        ("x y z", "7 1 2 3"),
+        ("id x y", "7 1 2"),
+        ("x y z x", "7 1 2 3"),
+        ("//ID X Y Z", "1 2 3 4 5 6 7"),
+        ("a scan of a room", "1 2 3"),
+    ],
+)
+def test_a_header_that_does_not_name_the_axes_is_refused(header: str, row: str, tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_text(f"{header}\n{row}\n{row}\n")
+    with pytest.raises(InputError, match=r"^a.xyz: header: '.*' does not name \d columns with x, y and z; write a name"):
+        read(tmp_path, "a.xyz")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1,5 2,5 0\n1,5 2,5 4\n",
+        "1,5\t2,5\t0\n1,5\t2,5\t4\n",
+        "1,5;2,5;0\r\n1,5;2,5;4\r\n",
+        "1,5 25e-1 0\n1,5 2,5 4\n",
+        "2\n1,5 2,5 0\n1,5 2,5 4\n",
+        "x y z\n1,5 2,5 0\n1,5 2,5 4\n",
+        "1.5, 2.5, 0\n1.5, 2.5, 4\n",
+        "1.5,2.5,  0\n1.5,2.5,  4\n",
+        "1.5,2.5,0,\n1.5,2.5,4,\n",
+    ],
+)
+def test_commas_are_decided_by_all_rows(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_text(text)
+    points = read(tmp_path, "a.xyz")
+    assert points.positions.tolist() == [[1.5, 2.5, 0], [1.5, 2.5, 4]]
+    assert points.colors is None
+
+
+@given(
+    rows=st.lists(st.tuples(*[st.integers(-99_999, 99_999)] * 6), min_size=1, max_size=20),
+    separator=st.sampled_from([" ", "\t", ";", "; "]),
+)
+def test_decimal_commas_state_the_same_as_points(rows: list[tuple[int, ...]], separator: str) -> None:
+    text = "\n".join(separator.join(f"{value / 1000:g}" for value in row) for row in rows)
+    dotted, commas = (read_rows(io.BytesIO(each.encode()), "a.xyz").values for each in (text, text.replace(".", ",")))
+    assert np.array_equal(dotted, commas)
+
+
+@pytest.mark.parametrize("row", ["1,5, 2,5, 3,5", "1,2,3 4,5,6", "1.5,2.5,3.5 10 20 30", "1,5 2,5 3.5", "1,234.5 2,345.5 3.5"])
+def test_ambiguous_commas_are_refused(row: str, tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_text(f"{row}\n{row}\n")
+    with pytest.raises(InputError, match="^a.xyz: content: has commas that may separate numbers or be decimals; export"):
+        read(tmp_path, "a.xyz")
+
+
+@pytest.mark.parametrize(
+    ("row", "color"),
+    [
+        ("1 2 3 0 0.5 0.7", [0, 128, 178]),
+        ("1 2 3 1 0.5 0", [255, 128, 0]),
+        ("1 2 3 1.0 0 0", [255, 0, 0]),
+        ("1 2 3 2 0 0", [2, 0, 0]),
+        ("1 2 3 65535 0 0", [255, 0, 0]),
+    ],
+)
+def test_colors_have_one_scale_in_all_channels(row: str, color: list[int], tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_text(f"x y z r g b\n{row}\n")
+    colors = read(tmp_path, "a.xyz").colors
+    assert colors is not None
+    assert colors.tolist() == [color]
+
+
+def test_channels_of_different_types_have_one_scale() -> None:
+    values = dict(zip(["x", "y", "z", "red", "green", "blue"], np.array([[1.0], [2.0], [3.0], [0.0], [0.5], [1.0]]), strict=True))
+    columns = {word: PlyColumn(value, "u1" if word == "red" else "f4") for word, value in values.items()}
+    colors = points_of_columns(columns, "a.ply").colors
+    assert colors is not None
+    assert colors.tolist() == [[0, 128, 255]]
 
 
 def test_a_damaged_row_costs_the_row(tmp_path: Path) -> None:
