@@ -60,8 +60,20 @@ Y_UP = Stated(1.0, "y", "glTF", is_turned=True)
 """GLB: metres and +Y up by the standard (glTF 2.0, section 3.4)."""
 
 
-def bare_reading(parts: Sequence[trimesh.Trimesh], stated: Stated, notes: Sequence[str], license: str | None, name: str) -> Reading:
+@dataclasses.dataclass(frozen=True)
+class Unit:
+    """Meters per unit of a file, and a line on how it was found, empty if the file states it."""
+
+    meters: float
+    note: str
+
+
+def bare_reading(
+    parts: Sequence[trimesh.Trimesh], stated: Stated, notes: Sequence[str], license: str | None, name: str, unit: Unit | None = None
+) -> Reading:
     """What is read of parts of a mesh whose instances are to be found in its geometry, +Z up [m]. name: The file.
+
+    unit: the unit that the caller has found; None finds it by the extents of the mesh.
 
     Raises:
         InputError: coordinates are not finite, or of no size that any unit explains.
@@ -69,8 +81,8 @@ def bare_reading(parts: Sequence[trimesh.Trimesh], stated: Stated, notes: Sequen
     surface = surface_of(parts)
     check_area(surface, name)
     turn, up_note = _upright(surface, stated)
-    unit, unit_note = _unit(surface, turn, stated.unit_m)
-    change = np.diag([unit, unit, unit, 1.0]) @ turn
+    unit = unit or unit_of(np.abs(turn[:3, :3]) @ np.ptp(surface.vertices, axis=0), stated.unit_m)
+    change = np.diag([unit.meters, unit.meters, unit.meters, 1.0]) @ turn
     vertices = surface.vertices @ change[:3, :3].T
     # Doubles are moved here: whatever follows may make floats.
     shift = survey_shift(vertices, name)
@@ -87,7 +99,7 @@ def bare_reading(parts: Sequence[trimesh.Trimesh], stated: Stated, notes: Sequen
         copy.apply_transform(change)
         copy.metadata["name"] = f"scan_{len(moved)}"
         moved.append(copy)
-    lines = [f"{name}: {up_note}", *([f"{name}: {unit_note}"] if unit_note else [])]
+    lines = [f"{name}: {up_note}", *([f"{name}: {unit.note}"] if unit.note else [])]
     return Reading(
         surface=surface, parts=tuple(moved), license=license, is_dense=is_dense, degradations=(*notes, *lines), materials=_materials(parts),
         from_file=change @ Y_UP_TO_Z_UP if stated.is_turned else change,
@@ -141,9 +153,11 @@ def _one_sided(surface: Surface, axis: int) -> float:
     return abs(up - down) / (up + down) if up + down > LEAST * float(areas.sum()) else 0.0
 
 
-def _unit(surface: Surface, turn: Array, stated: float | None) -> tuple[float, str]:
-    """Metres per unit, and a line where the file does not say it, or what it says is not plausible."""
-    extents = np.abs(turn[:3, :3]) @ np.ptp(surface.vertices, axis=0)
+def unit_of(extents: Array, stated: float | None) -> Unit:
+    """The unit of a room: the stated one, or meters, unless its size is plausible in another unit only.
+
+    extents: of the room with +Z up, shape (3,). stated: meters per unit by the file, None without any.
+    """
     height, length = float(extents[2]), float(extents.max())
 
     def is_plausible(unit: float) -> bool:
@@ -151,13 +165,13 @@ def _unit(surface: Surface, turn: Array, stated: float | None) -> tuple[float, s
 
     first = stated if stated is not None else 1.0
     if is_plausible(first):
-        return first, "" if stated is not None else "is taken to be in metres, which it does not say"
+        return Unit(first, "" if stated is not None else "is taken to be in metres, which it does not say")
     plausible = [(word, unit) for word, unit in UNITS if is_plausible(unit)]
     if not plausible:
-        return first, ""  # what is wrong with it is said where its size is checked
+        return Unit(first, "")  # what is wrong with it is said where its size is checked
     word, unit = min(plausible, key=lambda entry: abs(np.log(height * entry[1] / STOREY_M)))
     stating = "the unit that it states" if stated is not None else "metres"
-    return unit, f"is read as {word}: in {stating} it would be {height * first:.3g} m high"
+    return Unit(unit, f"is read as {word}: in {stating} it would be {height * first:.3g} m high")
 
 
 def _has_looks(parts: Sequence[trimesh.Trimesh]) -> bool:

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.capture.bare_mesh.upright import HEIGHTS_M, LENGTHS_M, STOREY_M, UNITS, Stated, bare_reading
+from tasks.capture.bare_mesh.upright import Stated, bare_reading, unit_of
 from tasks.capture.files.ply import check_vertices
 from tasks.capture.files.ply_elements import GRAY
 from tasks.capture.files.survey import survey_shift
 from tasks.capture.point_cloud.normals import oriented_normals
 from tasks.capture.point_cloud.points import MIN_POINTS, LabelledPoints, Points
-from tasks.capture.point_cloud.surface import surface_of_points
-from tasks.capture.point_cloud.thinning import first_in_voxels, spacing_of, thinned
+from tasks.capture.point_cloud.surface import MAX_BLOCKS, REACH_VOXELS, blocks_of, surface_of_points
+from tasks.capture.point_cloud.thinning import extents_of, first_in_voxels, lonely_points, spacing_of, thinned
 from tasks.capture.reading import Group, Reading, groups_of
 from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import transform_points
@@ -35,6 +35,12 @@ VOXEL_SPACINGS = 1.5
 MAX_VOXELS = 600_000
 """Voxels with points: about as many vertices has the surface. A room of 240 m2 surface has them at 2 cm."""
 
+MAX_SPACING_M = 2 * MAX_VOXEL_M
+"""Spacing above which no cell of the largest voxels has points at all of its corners."""
+
+MAX_LISTED_IDS = 100
+"""Objects that a note lists."""
+
 POINTS_PER_VOXEL = 2.0
 """Thinned points along a voxel's side: more do not change its mean."""
 
@@ -50,7 +56,10 @@ def cloud_reading(points: Points, stated: Stated, name: str, license: str | None
     lines += left_out
     if len(points.positions) < MIN_POINTS:
         raise InputError(name, "points", f"are {len(points.positions)}, a surface needs {MIN_POINTS}", "is it a scan of a room?")
-    unit = _unit(points.positions, stated.unit_m)
+    # Found once, before the surface: its voxels and its size then have the same unit.
+    extents = extents_of(points.positions)
+    found = unit_of(extents if stated.up == "z" else extents[[0, 2, 1]], stated.unit_m)
+    unit = found.meters
     low = points.positions.min(axis=0)
     check_vertices((points.positions - low) * unit, name)
     survey_shift(points.positions * unit, name)  # refuses coordinates that were stored too coarsely
@@ -60,14 +69,17 @@ def cloud_reading(points: Points, stated: Stated, name: str, license: str | None
     if points.colors is None:
         lines.append(f"{name}: has no colors: drawn in gray")
     lines += [f"{name}: {note}" for note in cloud.notes]
-    reading = bare_reading([surface.to_trimesh()], stated, lines, license, name)
+    reading = bare_reading([surface.to_trimesh()], stated, lines, license, name, found)
     if cloud.points.objects is None or reading.surface is None:
         return reading
     # The reading welds, turns and moves vertices: each gets the object of the place that it came from.
     assert reading.from_file is not None
     places = transform_points(reading.surface.vertices, np.linalg.inv(reading.from_file)) - low
     groups = groups_of_points(cloud.points.positions, cloud.points.objects, places, reading.surface, name)
-    return dataclasses.replace(reading, groups=groups)
+    return dataclasses.replace(reading, groups=groups, degradations=(*reading.degradations, *_lost(cloud.points.objects, groups, name)))
+
+
+DENSER = "export them more densely, a point every 2 cm"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,25 +96,43 @@ def _surface(points: Points, unit: float, name: str) -> CloudSurface:
     from scipy.spatial import cKDTree
 
     # Thin before the spacing is measured: scanners leave a hundred points in a voxel near them, and none farther away.
-    finest = min(MIN_VOXEL_M / unit, float(np.ptp(points.positions, axis=0).max()) / MIN_VOXELS_ALONG)
+    finest = min(MIN_VOXEL_M / unit, float(extents_of(points.positions).max()) / MIN_VOXELS_ALONG)
+    if not finest > 0.0:
+        raise InputError(name, "points", "lie on one place", "export the points of a room")
     cloud = thinned(points, finest / POINTS_PER_VOXEL)
     spacing = spacing_of(cloud.positions)
+    too_far = InputError(name, "points", f"lie {spacing * unit:.3g} m apart, too far for a surface", DENSER)
+    if spacing * unit > MAX_SPACING_M:
+        raise too_far
     voxel = float(np.clip(VOXEL_SPACINGS * spacing, finest, MAX_VOXEL_M / unit))
-    while len(first_in_voxels(cloud.positions, voxel)) > MAX_VOXELS and voxel < MAX_VOXEL_M / unit:
+    while (filled := len(first_in_voxels(cloud.positions, voxel))) > MAX_VOXELS and voxel < MAX_VOXEL_M / unit:
         voxel = min(voxel * 1.25, MAX_VOXEL_M / unit)
+    # Points without others in the reach of both make no piece of a surface, only blocks of the grid.
+    distance = 2 * REACH_VOXELS * voxel
+    is_lonely = lonely_points(cloud.positions, distance)
+    lonely = int(is_lonely.sum())
+    cloud = cloud.at(~is_lonely)
+    if len(cloud.positions) < MIN_POINTS:
+        raise too_far
+    places = blocks_of(cloud.positions, voxel)
+    if filled - lonely > MAX_VOXELS or len(places) > MAX_BLOCKS:
+        problem = f"are spread over {filled} voxels of {100 * voxel * unit:.3g} cm and {len(places)} blocks of them"
+        limits = f"more than {MAX_VOXELS} or {MAX_BLOCKS}"
+        raise InputError(name, "points", f"{problem}, {limits}", "export each room or storey as a file, without stray points")
     if voxel / POINTS_PER_VOXEL > spacing:
         cloud = thinned(cloud, voxel / POINTS_PER_VOXEL)
     tree = cKDTree(cloud.positions)
     normals = oriented_normals(cloud, tree, voxel, unit)
     colors = cloud.colors if cloud.colors is not None else np.full(cloud.positions.shape, GRAY, np.uint8)
-    surface = surface_of_points(cloud.positions, normals.values, colors, voxel, tree)
+    surface = surface_of_points(cloud.positions, normals.values, colors, voxel, tree, places)
     if not len(surface.faces):
-        problem = f"lie {spacing * unit:.3g} m apart, too far for a surface" if spacing * unit > MAX_VOXEL_M else "show no surface"
-        raise InputError(name, "points", problem, "export them more densely, a point every 2 cm")
+        raise too_far if spacing * unit > MAX_VOXEL_M else InputError(name, "points", "show no surface", DENSER)
     notes = [
         f"a point cloud of {len(points.positions)} points: its surface is estimated, with voxels of {100 * voxel * unit:.3g} cm",
         normals.note,
     ]
+    if lonely:
+        notes.append(f"{lonely} points lie more than {100 * distance * unit:.3g} cm from others: left out")
     if spacing * unit > MAX_VOXEL_M / VOXEL_SPACINGS:
         notes.append(f"points lie {100 * spacing * unit:.3g} cm apart: the surface has holes")
     return CloudSurface(surface, cloud, tuple(notes))
@@ -125,6 +155,16 @@ def groups_of_points(
     return tuple(dataclasses.replace(group, origin=f"{name}: object {group.source_id}") for group in groups if len(group.vertices))
 
 
+def _lost(objects: LabelledPoints, groups: Sequence[Group], name: str) -> list[str]:
+    """A line on the objects without a vertex of the surface."""
+    found = {group.source_id for group in groups}
+    ids = [id for id, _ in objects.named if id not in found]
+    if not ids:
+        return []
+    more = f" and {len(ids) - MAX_LISTED_IDS} others" if len(ids) > MAX_LISTED_IDS else ""
+    return [f"{name}: {len(ids)} objects have no surface: {', '.join(ids[:MAX_LISTED_IDS])}{more}: left out"]
+
+
 def _finite(points: Points, name: str) -> tuple[Points, list[str]]:
     """Points with coordinates, and a line on the others."""
     is_finite = np.all(np.isfinite(points.positions) & (np.abs(points.positions) < 1e12), axis=1, keepdims=True)[:, 0]
@@ -132,19 +172,3 @@ def _finite(points: Points, name: str) -> tuple[Points, list[str]]:
     if not missing:
         return points, []
     return points.at(is_finite), [f"{name}: {missing} points without coordinates: left out"]
-
-
-def _unit(positions: Array, stated: float | None) -> float:
-    """Meters per unit: the stated one, otherwise the first one that makes a room of a plausible size."""
-    if stated is not None:
-        return stated
-    extents = np.ptp(positions, axis=0)
-
-    def is_plausible(unit: float) -> bool:
-        height, length = float(extents[2]) * unit, float(extents.max()) * unit
-        return HEIGHTS_M[0] <= height <= HEIGHTS_M[1] and LENGTHS_M[0] <= length <= LENGTHS_M[1]
-
-    if is_plausible(1.0):
-        return 1.0
-    plausible = [unit for _, unit in UNITS if is_plausible(unit)]
-    return min(plausible, key=lambda unit: abs(np.log(float(extents[2]) * unit / STOREY_M)), default=1.0)

@@ -29,15 +29,24 @@ MIN_PIECE_FACES = 60
 """Smaller pieces are stray points: a pen of 12 cm has more faces at 2 cm."""
 
 
-def surface_of_points(positions: Array, normals: Array, colors: NDArray[np.uint8], voxel: float, tree: Any) -> Surface:
+BLOCK_BYTES = 16 * 1024
+"""Memory for a block: its nodes have a distance, a weight and a color, each of them and their sums as well."""
+
+MAX_BLOCKS = 2**30 // BLOCK_BYTES
+"""Blocks that fit into a gigabyte, 65,536. A room of 600,000 voxels has half of them."""
+
+
+def surface_of_points(
+    positions: Array, normals: Array, colors: NDArray[np.uint8], voxel: float, tree: Any, places: NDArray[np.int64]
+) -> Surface:
     """The surface that points lie on, with normals to their side.
 
     Args:
         positions, normals, colors: shape (n, 3) each, positions near the origin.
         voxel: side of a voxel, in the unit of the positions.
         tree: k-d tree of the positions.
+        places: blocks that the points reach, by `blocks_of`, shape (k, 3).
     """
-    places = _blocks(positions, voxel)
     keys = _keys(places)
     size = (len(places), SIDE, SIDE, SIDE)
     sums, weights, shades = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros((*size, 3), np.float32)
@@ -58,7 +67,7 @@ def _keys(places: NDArray[np.int64]) -> NDArray[np.int64]:
     return (places + FAR_BLOCKS) @ np.array([(2 * FAR_BLOCKS) ** 2, 2 * FAR_BLOCKS, 1], dtype=np.int64)
 
 
-def _blocks(positions: Array, voxel: float) -> NDArray[np.int64]:
+def blocks_of(positions: Array, voxel: float) -> NDArray[np.int64]:
     """Blocks of nodes that points reach, sorted by their keys, shape (k, 3)."""
     cells = np.floor(positions / voxel).astype(np.int64)
     low = (cells - int(REACH_VOXELS)) // SIDE

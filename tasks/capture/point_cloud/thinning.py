@@ -17,6 +17,12 @@ SAMPLES = 20_000
 NEIGHBOR = 4
 """The neighbor whose distance is the spacing: the nearest ones of scan lines lie on one line."""
 
+STRAY_PERCENT = 0.1
+"""Share of points at either end of an axis that may be reflections: floors and walls have more."""
+
+CHUNK = 200_000
+"""Points whose neighbors are sought at once: they take 16 MB."""
+
 
 def spacing_of(positions: Array) -> float:
     """Median distance of points to their neighbors, in the unit of the positions (n, 3)."""
@@ -26,6 +32,24 @@ def spacing_of(positions: Array) -> float:
     distances = cKDTree(positions).query(chosen, NEIGHBOR + 1)[0][:, NEIGHBOR]
     finite = distances[np.isfinite(distances)]
     return float(np.median(finite)) if len(finite) else 0.0
+
+
+def extents_of(positions: Array) -> Array:
+    """Extents of the room in which nearly all points lie, shape (3,): stray points do not count."""
+    low = np.percentile(positions, STRAY_PERCENT, axis=0, method="higher")
+    return np.asarray(np.percentile(positions, 100 - STRAY_PERCENT, axis=0, method="lower") - low)
+
+
+def lonely_points(positions: Array, distance: float) -> NDArray[np.bool_]:
+    """True for points with fewer than `NEIGHBOR` others in a distance, shape (n,)."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(positions)
+    is_lonely = np.zeros(len(positions), dtype=bool)
+    for start in range(0, len(positions), CHUNK):
+        part = positions[start : start + CHUNK]
+        is_lonely[start : start + CHUNK] = ~np.isfinite(tree.query(part, NEIGHBOR + 1, distance_upper_bound=distance)[0][:, NEIGHBOR])
+    return is_lonely
 
 
 def thinned(points: Points, side: float) -> Points:

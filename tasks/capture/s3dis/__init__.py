@@ -57,6 +57,10 @@ def read_s3dis(scan: Scan) -> Reading:
         raise InputError(folder.name, OBJECTS, f"has no object that can be read ({'; '.join(notes)[:200]})", "copy the room again")
     owner = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
     values = np.concatenate(tables)
+    is_used = _owned_once(values, owner)
+    if not is_used.all():
+        notes.append(f"{folder.name}: {int((~is_used).sum())} points are in several objects: the smallest object has them")
+        values, owner = values[is_used], owner[is_used]
     room = _room_file(folder)
     if room.is_file() and scan.premises.admits(room):
         rest = _unlabelled(_rows(room, name_of(room, folder), notes), values)
@@ -83,13 +87,22 @@ def _rows(path: Path, name: str, notes: list[str]) -> NDArray[np.float64]:
 
 def _unlabelled(room: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows of a room that no object has, by their millimeters."""
+    return room[~np.isin(_keys(room), _keys(values))]
 
-    def keys(rows: NDArray[np.float64]) -> NDArray[np.void]:
-        with np.errstate(invalid="ignore"):
-            cells = np.rint(np.clip(np.nan_to_num(rows[:, :3]), -1e9, 1e9) * 1000).astype(np.int64)
-        return np.ascontiguousarray(cells).view(np.dtype((np.void, 24)))[:, 0]
 
-    return room[~np.isin(keys(room), keys(values))]
+def _owned_once(values: NDArray[np.float64], owner: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """False for rows that a smaller object has as well, by their millimeters, shape (n,)."""
+    place = np.unique(_keys(values), return_inverse=True)[1]
+    order = np.lexsort((owner, np.bincount(owner)[owner], place))
+    is_first = np.diff(place[order], prepend=-1) != 0
+    smallest = owner[order][is_first]
+    return np.asarray((owner == smallest[place]) | ~np.isfinite(values[:, :3]).all(axis=1))
+
+
+def _keys(rows: NDArray[np.float64]) -> NDArray[np.void]:
+    with np.errstate(invalid="ignore"):
+        cells = np.rint(np.clip(np.nan_to_num(rows[:, :3]), -1e9, 1e9) * 1000).astype(np.int64)
+    return np.ascontiguousarray(cells).view(np.dtype((np.void, 24)))[:, 0]
 
 
 def _object_files(folder: Path, premises: Premises) -> list[Path]:

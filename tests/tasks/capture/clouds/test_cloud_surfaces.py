@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import igl
@@ -14,6 +15,7 @@ from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run
 from tasks.capture.bare_mesh.upright import Stated
 from tasks.capture.formats import find_scans, format_of
+from tasks.capture.point_cloud.normals import oriented_normals
 from tasks.capture.point_cloud.points import Points, labelled
 from tasks.capture.point_cloud.scene import cloud_reading
 from tasks.capture.point_cloud.thinning import thinned
@@ -91,6 +93,117 @@ def test_normals_of_the_file_are_used_unless_they_contradict_each_other() -> Non
     mixed = reading_of(Points(CLOUD.points, normals=normals * rng.choice([-1, 1], (len(normals), 1)).astype(np.float32)))
     assert any(line.endswith("normals have the signs that the file states") for line in outward.degradations)
     assert any("those of the file are not used" in line for line in mixed.degradations)
+    assert inward_share(outward) < 0.03
+    assert inward_share(mixed) > 0.97
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("source", ["stated", "sensors"])
+def test_normals_have_the_side_that_the_file_states(source: str, side: float) -> None:
+    """side: 1 for normals into the room, -1 for normals out of the room."""
+    walls, inward = wall_points()
+    cloud = Points(walls)
+    if source == "stated":
+        cloud = Points(walls, normals=(side * inward).astype(np.float32))
+    else:
+        sensors = -side * 5.0 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]) if side < 0 else np.array([[0, 0, 1.25]])
+        facing = (sensors[None] - walls[:, None]) * inward[:, None]
+        cloud = Points(walls, sensors=sensors, sensor_of=(side * facing.sum(axis=2)).argmax(axis=1).astype(np.int32))
+    cosines = np.einsum("ni,ni->n", normals_of(cloud), inward)
+    assert (side * cosines > 0.5).mean() > 0.97
+
+
+def test_normals_point_to_the_open_space() -> None:
+    walls, inward = wall_points()
+    assert (np.einsum("ni,ni->n", normals_of(Points(CLOUD.points)), -np.sign(CLOUD.points - [0, 0, 1.25])) > 0).mean() > 0.9
+    slab = np.concatenate([walls[inward[:, 0] == 1.0] - [0.05, 0, 0], walls[inward[:, 0] == 1.0]])
+    behind = np.concatenate([[-1.0, 1.0][half] * np.ones(len(slab) // 2) for half in (0, 1)])
+    box = np.array([[x, y, z] for x in (-6.0, 2.0) for y in (-1.5, 1.5) for z in (0.0, 2.5)])
+    values = normals_of(Points(np.concatenate([slab, box])))[: len(slab)]
+    assert (values[:, 0] * behind > 0.5).mean() > 0.9
+
+
+def wall_points() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points on the middle of the walls, on a grid of 4 cm, and the directions into the room, shape (n, 3) each."""
+    points, inward = [], []
+    across, up = (part.ravel() for part in np.meshgrid(np.arange(-1.3, 1.3, 0.04), np.arange(0.2, 2.3, 0.04)))
+    for axis, distance in ((0, 2.0), (1, 1.5)):
+        for sign in (-1.0, 1.0):
+            part, direction = np.empty((len(up), 3)), np.zeros(3)
+            part[:, axis], part[:, 1 - axis], part[:, 2] = sign * distance, across, up
+            direction[axis] = -sign
+            points.append(part)
+            inward.append(np.broadcast_to(direction, part.shape))
+    return np.concatenate(points), np.concatenate(inward)
+
+
+def normals_of(points: Points) -> NDArray[np.float64]:
+    return oriented_normals(points, cKDTree(points.positions), 0.06, 1.0).values
+
+
+def inward_share(reading: Reading) -> float:
+    """Share of the faces of two walls that face the room."""
+    vertices, surface = in_file(reading), reading.surface
+    assert surface is not None
+    middle = vertices[surface.faces].mean(axis=1)
+    is_wall = (np.abs(middle[:, 0]) > 1.9) & (np.abs(middle[:, 1]) < 1.3) & (np.abs(middle[:, 2] - 1.25) < 1.0)
+    return float(((face_normals(vertices, surface.faces)[is_wall, 0] * middle[is_wall, 0]) < 0).mean())
+
+
+@pytest.mark.parametrize("factor", [1.0, 1000.0])
+def test_a_stray_point_does_not_change_the_unit(factor: float) -> None:
+    points = np.concatenate([CLOUD.points, [[0.0, 0.0, 40.0]]]) * factor
+    reading, clean = reading_of(Points(points)), reading_of(Points(points[:-1]))
+    assert reading.surface is not None
+    assert clean.surface is not None
+    assert np.abs(np.ptp(reading.surface.vertices, axis=0) - np.ptp(CLOUD.points, axis=0)).max() < 0.03
+    assert len(reading.surface.faces) == pytest.approx(len(clean.surface.faces), rel=0.05)
+    words = ("is read as", "is taken to be in")
+    assert [line for line in reading.degradations if any(word in line for word in words)] == [
+        line for line in clean.degradations if any(word in line for word in words)
+    ]
+    assert any("1 points lie more than" in line for line in reading.degradations)
+
+
+def test_objects_without_a_surface_are_noted() -> None:
+    pen = np.array([1.0, 0.0, 1.8]) + np.random.default_rng(0).random((40, 3)) * [0.12, 0.01, 0.01]
+    objects = labelled(np.append(CLOUD.owner, np.full(40, 70)), None)
+    reading = reading_of(Points(np.concatenate([CLOUD.points, pen]), objects=objects))
+    assert [group.source_id for group in reading.groups or ()] == [str(i) for i in range(8)]
+    assert "room.xyz: 1 objects have no surface: 70: left out" in reading.degradations
+
+
+def test_sparse_points_are_refused_before_the_grid_is_built() -> None:
+    sparse = np.stack(np.meshgrid(*[np.arange(20.0)] * 3), axis=-1).reshape(-1, 3)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=r"^room.xyz: points: lie 1 m apart, too far for a surface; "):
+            reading_of(Points(sparse))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 50 * 2**20
+
+
+def test_sparse_points_around_a_room_cost_no_memory() -> None:
+    rng = np.random.default_rng(0)
+    sparse = rng.random((20_000, 3)) * [80.0, 80.0, 25.0] - [40.0, 40.0, 0.0]
+    tracemalloc.start()
+    try:
+        reading = reading_of(Points(np.concatenate([CLOUD.points, sparse])))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 400 * 2**20
+    assert reading.surface is not None
+    assert np.ptp(reading.surface.vertices, axis=0).max() < 4.1
+
+
+@pytest.mark.parametrize("limit", ["MAX_VOXELS", "MAX_BLOCKS"])
+def test_the_grid_has_a_budget(limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"tasks.capture.point_cloud.scene.{limit}", 100)
+    with pytest.raises(InputError, match=r"^room.xyz: points: are spread over \d+ voxels of .* or .*; export each room"):
+        reading_of(Points(CLOUD.points))
 
 
 def test_means_of_voxels_keep_objects_apart() -> None:

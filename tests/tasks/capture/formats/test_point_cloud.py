@@ -223,7 +223,7 @@ def test_decimal_commas_state_the_same_as_points(rows: list[tuple[int, ...]], se
 @pytest.mark.parametrize("row", ["1,5, 2,5, 3,5", "1,2,3 4,5,6", "1.5,2.5,3.5 10 20 30", "1,5 2,5 3.5", "1,234.5 2,345.5 3.5"])
 def test_ambiguous_commas_are_refused(row: str, tmp_path: Path) -> None:
     (tmp_path / "a.xyz").write_text(f"{row}\n{row}\n")
-    with pytest.raises(InputError, match="^a.xyz: content: has commas that may separate numbers or be decimals; export"):
+    with pytest.raises(InputError, match=r"^a.xyz: content: has commas that may separate numbers or be decimals; export"):
         read(tmp_path, "a.xyz")
 
 
@@ -260,6 +260,22 @@ def test_a_damaged_row_costs_the_row(tmp_path: Path) -> None:
     points = read(tmp_path, "a.xyz")
     assert np.array_equal(points.positions, np.delete(CLOUD.points, [7, 9], axis=0))
     assert points.notes[0] == "a.xyz: 2 rows are not 6 numbers: left out"
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_further_elements_of_a_ply_are_noted(form: str, tmp_path: Path) -> None:
+    camera = "".join(f"property float {word}\n" for word in ("view_px", "view_py", "view_pz", "scalex", "scaley"))
+    head = f"ply\nformat {form} 1.0\nelement vertex 200\nproperty float x\nproperty float y\nproperty float z\n"
+    head += f"element edge 100\nproperty int vertex1\nproperty int vertex2\nelement camera 1\n{camera}element face 0\n"
+    head += "property list uchar int vertex_indices\nend_header\n"
+    rows = np.arange(600, dtype="<f4").reshape(200, 3)
+    edges, view = np.arange(200, dtype="<i4").reshape(100, 2), np.arange(5, dtype="<f4")[None]
+    text = "\n".join(" ".join(map(str, row)) for part in (rows, edges, view) for row in part.tolist())
+    body = text.encode() if form == "ascii" else rows.tobytes() + edges.tobytes() + view.tobytes()
+    (tmp_path / "a.ply").write_bytes(head.encode() + body)
+    points = read(tmp_path, "a.ply")
+    assert np.array_equal(points.positions, rows)
+    assert points.notes == ("a.ply: element edge, element camera: not used",)
 
 
 def test_a_pts_file_may_have_several_parts(tmp_path: Path) -> None:

@@ -62,6 +62,20 @@ def test_a_damaged_row_costs_the_row(tmp_path: Path) -> None:
     assert "office_2/Annotations/floor_1.txt: 1 rows are not 6 numbers: left out" in notes
 
 
+def test_points_of_two_objects_are_of_the_smaller_one(tmp_path: Path) -> None:
+    write_sample(tmp_path / "office_2")
+    objects = tmp_path / "office_2" / "Annotations"
+    rows = (objects / "floor_1.txt").read_text().splitlines()
+    (objects / "clutter_1.txt").write_text("\n".join(rows[: len(rows) // 3]))
+    (objects / "pen_1.txt").write_text("\n".join(f"-1.5 -1.0 {0.5 + 0.001 * i:.3f} 9 9 9" for i in range(40)))
+    reading = read(tmp_path / "office_2")
+    assert f"office_2: {len(rows) // 3} points are in several objects: the smallest object has them" in reading.degradations
+    groups = {group.source_id: group for group in reading.groups or ()}
+    assert len(groups["clutter_1"].vertices) > 0
+    assert "pen_1" not in groups
+    assert any(line.startswith("office_2: ") and "have no surface: " in line and "pen_1" in line for line in reading.degradations)
+
+
 def test_a_broken_object_costs_itself(tmp_path: Path) -> None:
     write_sample(tmp_path / "office_2")
     (tmp_path / "office_2" / "Annotations" / "floor_1.txt").write_text("no points\n")
