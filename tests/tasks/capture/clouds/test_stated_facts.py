@@ -267,7 +267,7 @@ def test_a_sensor_that_is_not_listed_is_refused(tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_file_without_points_is_refused_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="^a.las: points: the file has none that can be used; export"):
+    with pytest.raises(InputError, match=r"^a.las: points: the file has none that can be used; export"):
         answered(ANSWER | {"columns": {}}, b"", tmp_path, monkeypatch)
 
 
@@ -352,5 +352,5 @@ def test_a_field_that_is_listed_twice_is_refused(tmp_path: Path) -> None:
     write_pcd(tmp_path / "a.pcd", {**columns, "w": columns["x"]}, "0 0 0 1 0 0 0", is_grid=False)
     data = (tmp_path / "a.pcd").read_bytes()
     (tmp_path / "a.pcd").write_bytes(data.replace(b"FIELDS x y z w", b"FIELDS x y z x"))
-    with pytest.raises(InputError, match="^a.pcd: FIELDS: list 'x' twice; "):
+    with pytest.raises(InputError, match=r"^a.pcd: FIELDS: list 'x' twice; "):
         read_pcd(tmp_path / "a.pcd", "a.pcd")
