@@ -57,7 +57,7 @@ def grid_frame(pcd: Pcd, path: Path, name: str) -> GridFrame | None:
     viewpoint, is_placed = header.viewpoint, header.states_viewpoint
     # Points are in the frame that the viewpoint is in, or still in that of the camera.
     placements = ([inverse(viewpoint)] if is_placed else []) + [np.eye(4)]
-    for place, turn in product(placements, (np.eye(4), _FLIPPED)):
+    for turn, place in product((np.eye(4), _FLIPPED), placements):
         to_camera = turn @ place
         seen = points.positions[is_finite] @ to_camera[:3, :3].T + to_camera[:3, 3]
         lens = _lens(seen, u.astype(np.float64), v.astype(np.float64))
