@@ -81,6 +81,7 @@ class _Writer:
 def _read_las(path: Path, name: str, folder: Path) -> dict[str, Any]:
     import laspy
 
+    _check_records(path, name)
     notes: list[str] = []
     writer = _Writer(folder)
     withheld = noise = 0
@@ -113,6 +114,20 @@ def _read_las(path: Path, name: str, folder: Path) -> dict[str, Any]:
     return {
         "columns": writer.facts(), "unit_m": units.plane_m, "height_factor": units.height_factor, "notes": notes, "sensors": [],
     }  # fmt: skip
+
+
+def _check_records(path: Path, name: str) -> None:
+    """Raise InputError for more records than the file has room for: the library reads on, behind its end."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(247)
+    if len(head) < 104:
+        raise InputError(name, "header", f"ends after {len(head)} bytes", AGAIN)
+    short = int.from_bytes(head[100:104], "little")
+    is_new = head[24:26] >= b"\x01\x04" and len(head) == 247
+    long = int.from_bytes(head[243:247], "little") if is_new else 0
+    if short * 54 + long * 60 > size:  # bytes of their headers
+        raise InputError(name, "header", f"states {short + long} records, more than its {size} bytes hold", AGAIN)
 
 
 _CHANNELS = ("red", "green", "blue")

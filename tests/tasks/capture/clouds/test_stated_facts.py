@@ -121,6 +121,18 @@ def test_every_dimension_of_a_las_file_is_used_or_named(tmp_path: Path) -> None:
     assert {"user_data", "nir", "object_id", "tree"} <= set(named)
 
 
+@pytest.mark.parametrize(("version", "at"), [("1.2", 100), ("1.4", 100), ("1.4", 243)])
+def test_more_records_than_a_las_file_holds_are_refused_at_once(version: str, at: int, tmp_path: Path) -> None:
+    las = laspy.LasData(laspy.LasHeader(point_format=2 if version == "1.2" else 7, version=version))
+    las.x, las.y, las.z = CLOUD.points.T
+    las.write(tmp_path / "a.las")
+    data = bytearray((tmp_path / "a.las").read_bytes())
+    data[at : at + 4] = bytes([255] * 4)
+    (tmp_path / "a.las").write_bytes(data)
+    with pytest.raises(InputError, match=r"^a.las: header: states 4294967295 records, more than its \d+ bytes hold; "):
+        file_points(tmp_path / "a.las", "a.las")
+
+
 def test_a_class_without_an_object_is_named(tmp_path: Path) -> None:
     head = laspy.LasHeader(point_format=2, version="1.2")
     head.scales = np.full(3, 0.001)
