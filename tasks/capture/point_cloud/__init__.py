@@ -5,6 +5,7 @@ PCD of the Point Cloud Library, XYZ and PTS as text, LAS and LAZ of laser scanne
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 from tasks.capture.bare_mesh.upright import Stated
@@ -36,15 +37,18 @@ def read_cloud(scan: Scan) -> Reading:
     license = license_of(license_path(scan.folder, scan.premises))
     if path.suffix.lower() == ".pcd":
         pcd = read_pcd(path, name)
-        frame = grid_frame(pcd, path, name)
-        if frame is not None:
-            note = f"{name}: a grid of {frame.width} x {frame.height} points is read as the frame of a depth camera"
-            return Reading(surface=None, frames=(frame,), license=license, degradations=(*pcd.points.notes, note))
+        grid = grid_frame(pcd, path, name)
+        if grid is not None:
+            notes = (*pcd.points.notes, *grid.notes)
+            return Reading(surface=None, frames=(grid.frame,), license=license, degradations=notes, from_file=grid.from_file)
         points = pcd.points
     else:
         points = file_points(path, name)
     stated = Stated(points.unit_m, "z", "most of its kind")
-    return cloud_reading(points, stated, name, license, (NO_FRAMES,))
+    reading = cloud_reading(points, stated, name, license, (NO_FRAMES,))
+    if points.from_file is None or reading.from_file is None:
+        return reading
+    return dataclasses.replace(reading, from_file=reading.from_file @ points.from_file)
 
 
 def file_points(path: Path, name: str) -> Points:

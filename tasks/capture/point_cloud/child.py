@@ -6,7 +6,7 @@ It leaves the columns of the points in `points.bin`, and as facts dtype, shape a
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.point_cloud.points import INSTANCE_NAMES, LABEL_NAMES, check_count
+from tasks.capture.point_cloud.projections import units_of_las
 from tasks.confinement import answer, limit
 
 COLUMNS = "points.bin"
@@ -80,63 +81,73 @@ class _Writer:
 def _read_las(path: Path, name: str, folder: Path) -> dict[str, Any]:
     import laspy
 
+    _check_records(path, name)
     notes: list[str] = []
     writer = _Writer(folder)
     withheld = noise = 0
     with laspy.open(path) as reader:
         head = reader.header
         check_count(head.point_count, name)
+        units = units_of_las(head, name)
         names = list(head.point_format.dimension_names)
-        extra = [word for word in head.point_format.extra_dimension_names if word.lower() in (*INSTANCE_NAMES, *LABEL_NAMES)]
-        has_color = {"red", "green", "blue"} <= set(names)
+        objects = _object_columns(head.point_format)
+        has_color = set(_CHANNELS) <= set(names)
         for chunk in reader.chunk_iterator(CHUNK):
             out = np.asarray(chunk.withheld).astype(bool) if "withheld" in names else np.zeros(len(chunk), bool)
             is_noise = np.isin(np.asarray(chunk.classification), NOISE) & ~out
             withheld, noise = withheld + int(out.sum()), noise + int(is_noise.sum())
             used = ~(out | is_noise)
-            columns: Columns = {"positions": np.stack([chunk.x, chunk.y, chunk.z], axis=1).astype("<f8")[used]}
+            heights = np.asarray(chunk.z) * units.height_factor
+            columns: Columns = {"positions": np.stack([chunk.x, chunk.y, heights], axis=1).astype("<f8")[used]}
             if has_color:
-                columns["colors"] = np.stack([chunk.red, chunk.green, chunk.blue], axis=1).astype("<u2")[used]
-            columns |= {word.lower(): np.asarray(chunk[word]).reshape(len(chunk), -1)[used, 0].astype("<f8") for word in extra}
+                columns["colors"] = np.stack([chunk[word] for word in _CHANNELS], axis=1).astype("<u2")[used]
+            columns |= {key: np.asarray(chunk[word])[used].astype("<f8") for key, word in objects.items()}
             writer.add(columns)
         if head.point_count != writer.rows + withheld + noise:
             raise InputError(name, "points", f"are {writer.rows + withheld + noise}, the header states {head.point_count}", AGAIN)
         notes += [f"{name}: {count} points {reason}: left out" for count, reason in (
             (withheld, "are marked as withheld"), (noise, "are classified as noise"),
         ) if count]  # fmt: skip
-        unused = [word for word in ("intensity", "classification", "gps_time", *head.point_format.extra_dimension_names)
-                  if word in names and word not in extra]  # fmt: skip
-        notes += [f"{name}: {', '.join(unused)}: not used"] if unused else []
-        unit = _las_unit(head, notes, name)
-    return {"columns": writer.facts(), "unit_m": unit, "notes": notes, "sensors": []}
+        taken = {"X", "Y", "Z", "withheld", *objects.values(), *(_CHANNELS if has_color else ())}
+        notes += _unused([word for word in names if word not in taken], name)
+        notes += [f"{name}: {note}" for note in units.notes]
+    return {
+        "columns": writer.facts(), "unit_m": units.plane_m, "height_factor": units.height_factor, "notes": notes, "sensors": [],
+    }  # fmt: skip
 
 
-_FEET = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
-"""Meters per linear unit, by its EPSG code: meter, foot, US survey foot."""
+def _check_records(path: Path, name: str) -> None:
+    """Raise InputError for more records than the file has room for: the library reads on, behind its end."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(247)
+    if len(head) < 104:
+        raise InputError(name, "header", f"ends after {len(head)} bytes", AGAIN)
+    short = int.from_bytes(head[100:104], "little")
+    is_new = head[24:26] >= b"\x01\x04" and len(head) == 247
+    long = int.from_bytes(head[243:247], "little") if is_new else 0
+    if short * 54 + long * 60 > size:  # bytes of their headers
+        raise InputError(name, "header", f"states {short + long} records, more than its {size} bytes hold", AGAIN)
 
-_LINEAR_KEY, _KEY_DIRECTORY, _WKT = 3076, 34735, 2112
+
+_CHANNELS = ("red", "green", "blue")
 
 
-def _las_unit(head: Any, notes: list[str], name: str) -> float | None:
-    """Meters per unit that the coordinate system of a LAS file states, None without one."""
-    import re
+def _object_columns(form: Any) -> dict[str, str]:
+    """Extra columns that state the object of each point and its class, by `instance` and `label`; classes need objects."""
+    extra: dict[str, str] = {}
+    for word in form.extra_dimension_names:
+        if form.dimension_by_name(word).num_elements == 1:
+            extra.setdefault(word.lower(), word)
+    found = {"instance": INSTANCE_NAMES, "label": LABEL_NAMES}
+    columns = {key: extra[word] for key, words in found.items() if (word := next((w for w in words if w in extra), None)) is not None}
+    return columns if "instance" in columns else {}
 
-    for record in head.vlrs:
-        if record.record_id == _KEY_DIRECTORY and "LASF_Projection" in record.user_id:
-            for key in getattr(record, "geo_keys", []):
-                if key.id == _LINEAR_KEY and key.value_offset in _FEET:
-                    return _FEET[key.value_offset]
-        if record.record_id == _WKT and "LASF_Projection" in record.user_id:
-            text = getattr(record, "string", "")
-            if text.startswith("GEOG"):
-                raise InputError(name, "coordinate system", "is in degrees", "project the points to meters, to UTM")
-            # The unit of a projection follows its parameters; units before them are of angles.
-            units = re.findall(r'(?:LENGTHUNIT|UNIT)\s*\[\s*"([^"]*)"\s*,\s*([0-9.eE+-]+)', text)
-            lengths = [(word, float(number)) for word, number in units if re.search(r"(?i)met|foot|feet|ft", word)]
-            if lengths and 0.0 < lengths[-1][1] < 1e4:
-                notes.append(f"{name}: the coordinate system states the unit {lengths[-1][0]}")
-                return lengths[-1][1]
-    return None
+
+def _unused(words: Iterable[str], name: str) -> list[str]:
+    """A line on columns without a use. Names are foreign text, of which a line takes the printable characters."""
+    shown = ["".join(c if c.isprintable() else "?" for c in word)[:64] for word in words]
+    return [f"{name}: {', '.join(shown)}: not used"] if shown else []
 
 
 _CARTESIAN, _SPHERICAL = ("cartesianX", "cartesianY", "cartesianZ"), ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
@@ -149,6 +160,9 @@ def _read_e57(path: Path, name: str, folder: Path) -> dict[str, Any]:
     notes: list[str] = []
     writer = _Writer(folder)
     sensors: list[list[float]] = []
+    unplaced: list[int] = []
+    unused: dict[str, None] = {}
+    invalid = 0
     with pye57.E57(str(path)) as file:
         headers = [file.get_header(number) for number in range(file.scan_count)]
         check_count(sum(header.point_count for header in headers), name)
@@ -156,33 +170,50 @@ def _read_e57(path: Path, name: str, folder: Path) -> dict[str, Any]:
         if not is_colored and any(set(_COLOR) <= set(header.point_fields) for header in headers):
             notes.append(f"{name}: some of the {len(headers)} scans have no colors: colors are not used")
         for number, header in enumerate(headers):
-            fields = set(header.point_fields)
-            axes = next((axes for axes in (_CARTESIAN, _SPHERICAL) if set(axes) <= fields), None)
+            fields = header.point_fields
+            axes = next((axes for axes in (_CARTESIAN, _SPHERICAL) if set(axes) <= set(fields)), None)
             if axes is None:
                 notes.append(f"{name}: scan {number} has no coordinates: left out")
                 continue
             # A scanner stands where its pose says; without a pose, a grid begins at the scanner.
             is_known = header.has_pose() or "rowIndex" in fields
-            for columns in _e57_chunks(file, header, axes, is_colored):
+            count = 0
+            for columns, left_out in _e57_chunks(file, header, axes, is_colored):
+                count += len(columns["positions"]) + left_out
+                invalid += left_out
                 columns["sensor_of"] = np.full(len(columns["positions"]), len(sensors) if is_known else -1, "<i4")
                 writer.add(columns)
+            if count != header.point_count:
+                raise InputError(name, f"points of scan {number}", f"are {count}, the header states {header.point_count}", AGAIN)
             if is_known:
                 sensors.append([float(v) for v in header.translation])
-        unused = sorted({field for header in headers for field in header.point_fields} & {"intensity", "timeStamp", "returnIndex"})
-        notes += [f"{name}: {', '.join(unused)}: not used"] if unused else []
+            else:
+                unplaced.append(number)
+            taken = {*axes, _state_of(axes), *(_COLOR if is_colored else ()), *(() if header.has_pose() else ("rowIndex",))}
+            unused |= dict.fromkeys(field for field in fields if field not in taken)
+        notes += [f"{name}: {invalid} points are marked as invalid: left out"] if invalid else []
+        if unplaced and sensors:
+            numbers = ", ".join(map(str, unplaced[:8])) + (" and others" if len(unplaced) > 8 else "")
+            notes.append(f"{name}: no pose in scan {numbers}: the place of the sensor is not known there")
+        notes += _unused(unused, name)
         images = len(file.root["images2D"]) if file.root.isDefined("images2D") else 0
         notes += [f"{name}: {images} images: not used"] if images else []
-    return {"columns": writer.facts(), "unit_m": 1.0, "notes": notes, "sensors": sensors}
+    return {"columns": writer.facts(), "unit_m": 1.0, "height_factor": 1.0, "notes": notes, "sensors": sensors}
 
 
-def _e57_chunks(file: Any, header: Any, axes: tuple[str, ...], is_colored: bool) -> Iterator[Columns]:
-    """Valid points of a scan in the frame of the file, some at a time."""
+def _state_of(axes: tuple[str, ...]) -> str:
+    """Field that marks points whose coordinates are not valid."""
+    return f"{'cartesian' if axes is _CARTESIAN else 'spherical'}InvalidState"
+
+
+def _e57_chunks(file: Any, header: Any, axes: tuple[str, ...], is_colored: bool) -> Iterator[tuple[Columns, int]]:
+    """Valid points of a scan in the frame of the file, some at a time, and the number of those between them that are not valid."""
     from pye57 import libe57
 
     count = min(CHUNK, max(header.point_count, 1))
-    invalid = f"{'cartesian' if axes is _CARTESIAN else 'spherical'}InvalidState"
+    state = _state_of(axes)
     wanted = dict.fromkeys([*axes, *(_COLOR if is_colored else ())], "f8")
-    wanted |= {invalid: "i4"} if invalid in header.point_fields else {}
+    wanted |= {state: "i1"} if state in header.point_fields else {}  # values are 0 to 2
     arrays = {word: np.zeros(count, dtype) for word, dtype in wanted.items()}
     buffers = libe57.VectorSourceDestBuffer()
     for word, array in arrays.items():
@@ -191,7 +222,7 @@ def _e57_chunks(file: Any, header: Any, axes: tuple[str, ...], is_colored: bool)
     turn, move = header.rotation_matrix, header.translation
     low, high = _color_limits(header) if is_colored else (0.0, 255.0)
     while read := reader.read():
-        used = arrays[invalid][:read] == 0 if invalid in arrays else np.ones(read, bool)
+        used = arrays[state][:read] == 0 if state in arrays else np.ones(read, bool)
         points = np.stack([arrays[axis][:read] for axis in axes], axis=1)[used]
         if axes is _SPHERICAL:
             distance, azimuth, elevation = points.T
@@ -202,7 +233,7 @@ def _e57_chunks(file: Any, header: Any, axes: tuple[str, ...], is_colored: bool)
             colors = np.stack([arrays[word][:read] for word in _COLOR], axis=1)[used]
             scaled = np.nan_to_num((colors - low) * (255.0 / (high - low)))
             columns["colors"] = np.rint(np.clip(scaled, 0.0, 255.0)).astype("u1")
-        yield columns
+        yield columns, read - len(points)
     reader.close()
 
 

@@ -65,9 +65,20 @@ class Normals:
 def oriented_normals(points: Points, tree: cKDTree, side: float, unit_m: float) -> Normals:
     """Normals of thinned points. tree: of their positions. side: side of a voxel, in their unit. unit_m: meters per unit."""
     near, values = _fitted(points.positions, tree)
-    if points.sensors is not None and points.sensor_of is not None and (points.sensor_of >= 0).all():
-        toward = points.sensors[points.sensor_of] - points.positions
-        return Normals(values * _signs(values, toward)[:, None], "normals point to the sensors, which the file states")
+    if points.sensors is None or points.sensor_of is None or not (points.sensor_of >= 0).any():
+        return _without_sensors(points, near, values, side, unit_m)
+    is_placed = points.sensor_of >= 0
+    toward = points.sensors[points.sensor_of] - points.positions
+    sensed = values * _signs(values, toward)[:, None]
+    if is_placed.all():
+        return Normals(sensed, "normals point to the sensors, which the file states")
+    others = _without_sensors(points, near, values, side, unit_m)
+    note = f"normals point to the sensors, which the file states for {is_placed.mean():.1%} of points; of the others, {others.note}"
+    return Normals(np.where(is_placed[:, None], sensed, others.values), note)
+
+
+def _without_sensors(points: Points, near: Neighbors, values: Array, side: float, unit_m: float) -> Normals:
+    """Normals of points whose sensors are not known. near, values: neighbors and directions of `_fitted`."""
     ignored = ""
     if points.normals is not None:
         stated = points.normals.astype(np.float64)

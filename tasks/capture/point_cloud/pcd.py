@@ -45,6 +45,11 @@ class PcdHeader:
     start: int
     viewpoint: NDArray[np.float64]
 
+    @property
+    def states_viewpoint(self) -> bool:
+        """False for the viewpoint that programs write which know none: the origin, without a turn."""
+        return not np.allclose(self.viewpoint, np.eye(4), rtol=0.0, atol=1e-12)
+
 
 @dataclasses.dataclass(frozen=True)
 class Pcd:
@@ -66,7 +71,13 @@ def read_pcd(path: Path, name: str) -> Pcd:
     for word in _PACKED:
         if word in columns:
             columns |= _unpacked_colors(columns.pop(word))
-    return Pcd(points_of_columns(columns, name), header)
+    wide = [f"{field} ({count} values)" for field, _, count in header.fields if count != 1 and field != "_"]
+    notes = [f"{name}: {', '.join(wide)}: not used"] if wide else []
+    points = points_of_columns(columns, name, notes)
+    if header.states_viewpoint:
+        sensor_of = np.zeros(len(points.positions), np.int32)
+        points = dataclasses.replace(points, sensors=header.viewpoint[None, :3, 3], sensor_of=sensor_of)
+    return Pcd(points, header)
 
 
 def read_header(data: bytes, name: str) -> PcdHeader:
@@ -92,6 +103,9 @@ def read_header(data: bytes, name: str) -> PcdHeader:
         if dtype is None:
             raise InputError(name, f"field {field}", f"has type {kind} of {size} bytes, which is not known", AGAIN)
         fields.append((field.lower(), dtype, _natural(count, name, "COUNT", 4096)))
+    repeated = {field for field, _, _ in fields if field != "_" and [other for other, _, _ in fields].count(field) > 1}
+    if repeated:
+        raise InputError(name, "FIELDS", f"list {min(repeated)[:40]!r} twice", AGAIN)
     width = _natural(lines.get("WIDTH", ["0"])[:1], name, "WIDTH")
     height = _natural(lines.get("HEIGHT", ["1"])[:1], name, "HEIGHT")
     points = _natural(lines.get("POINTS", [str(width * height)])[:1], name, "POINTS")

@@ -35,7 +35,7 @@ LABEL_NAMES = ("label", "labels", "semantic", "semantic_label", "sem", "class", 
 NO_OBJECT = -1
 """Number of points without an object."""
 
-_NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"), ("normalx", "normaly", "normalz"))
+NORMAL_NAMES = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"), ("normalx", "normaly", "normalz"))
 _PADDING = ("_", "alpha", "a")
 """Columns that state nothing: padding of PCD rows, and opacity."""
 
@@ -54,7 +54,7 @@ class Points:
 
     positions: shape (n, 3). colors: displayed colors, shape (n, 3); None without any. normals: as stated, shape (n, 3).
     sensors: positions of sensors, shape (k, 3). sensor_of: sensor that saw each point, -1 for an unknown one, shape (n,).
-    unit_m: meters per unit, None if the file does not state it.
+    unit_m: meters per unit, None if the file does not state it. from_file: the file's own coordinates to those here, 4x4, None if equal.
     """
 
     positions: Array
@@ -64,6 +64,7 @@ class Points:
     sensors: Array | None = None
     sensor_of: NDArray[np.int32] | None = None
     unit_m: float | None = None
+    from_file: Array | None = None
     notes: tuple[str, ...] = ()
 
     def at(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Points:
@@ -104,7 +105,7 @@ def points_of_columns(columns: Mapping[str, PlyColumn], name: str, notes: Sequen
         kind = max((columns[channel].kind for channel in channels), key=lambda kind: (kind[0] == "f", int(kind[1:])))
         colors = as_bytes(np.stack([columns[channel].values for channel in channels], axis=1), kind)
         used |= set(channels)
-    axes = next((names for names in _NORMALS if all(axis in lower for axis in names)), None)
+    axes = next((names for names in NORMAL_NAMES if all(axis in lower for axis in names)), None)
     if axes is not None:
         normals = stacked([columns[lower[axis]].values for axis in axes]).astype(np.float32)
         used |= {lower[axis] for axis in axes}

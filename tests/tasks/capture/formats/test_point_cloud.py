@@ -337,6 +337,8 @@ def test_a_grid_of_points_is_the_frame_of_a_camera(viewpoint: np.ndarray | None,
     (frame,) = reading.frames
     assert reading.surface is None
     assert frame.intrinsics == pytest.approx(lens, abs=1e-3)
+    assert (frame.pose is None) == (viewpoint is None)
+    assert viewpoint is None or np.allclose(frame.pose[:3, :3], viewpoint, rtol=0, atol=1e-12)
     depth = np.abs(cloud.points[:, 2])
     assert frame.depth is not None
     assert np.allclose(frame.depth().ravel(), np.nan_to_num(depth), atol=1e-6)
@@ -355,6 +357,9 @@ def test_real_grids_have_the_camera_that_took_them(name: str, valid: int) -> Non
     (frame,) = POINT_CLOUD.read(scan).frames
     assert frame.intrinsics[:2] == pytest.approx((525.0, 525.0), abs=0.01)
     assert int((frame.depth() > 0).sum()) == valid
+    # A viewpoint that the file states is the pose, whichever way its camera looks.
+    assert (frame.pose is not None) == pcd.header.states_viewpoint
+    assert frame.pose is None or np.allclose(frame.pose, pcd.header.viewpoint, rtol=0, atol=1e-9)
 
 
 def test_a_cloud_without_colors_claims_none(tmp_path: Path) -> None:
