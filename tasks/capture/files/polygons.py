@@ -21,7 +21,7 @@ class Triangulation:
     """Triangulation of polygons.
 
     corners: positions among the corners of all polygons, shape (m, 3). owner: polygon of each triangle, shape (m,).
-    crossed: number of polygons whose outlines cross themselves or are not finite. They stay fans.
+    crossed: number of polygons whose outlines cross themselves; they stay fans.
     """
 
     corners: Integers
@@ -125,6 +125,7 @@ def _clipped(points: NDArray[np.float64], start: int, count: int) -> Integers | 
     # The triangles keep the winding of the outline.
     faces = np.where((along < 0)[:, None], faces[:, ::-1], faces)
     area = float(np.linalg.norm(normal))
-    if abs(float(np.abs(along).sum()) / max(area, 1e-300) - area) > MAX_AREA_ERROR * area:
+    size = float(np.linalg.norm(crosses, axis=1).sum())
+    if area <= MIN_TURN * size or abs(float(np.abs(along).sum()) / area - area) > MAX_AREA_ERROR * area:
         return None
     return faces + start

@@ -61,6 +61,7 @@ def test_triangles_cover_the_outline_once_and_keep_its_winding(corners: int, inn
         [[0.0, 0], [1, 1], [1, 0], [0, 1.5]],
         # Halves of the same size cancel out.
         [[0.0, 0], [1, 1], [1, 0], [0, 1]],
+        [[0.0, 0], [1, 1], [1, 0.5], [1, 0], [0, 1], [0, 0.5]],
         [[0.0, 0], [2, 2], [2, 0], [0, 2], [-1, 1]],
     ],
 )
