@@ -16,10 +16,10 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 CYCLES = {"X": (2, 0, 1), "Y": (1, 2, 0), "Z": (0, 1, 2)}
-"""Which coordinate of a solid around z becomes x, y and z of one around another axis."""
+"""Order of coordinates that turns a solid around z to another axis."""
 
 SECTIONS = 24
-"""Sides of what is round."""
+"""Sides of round solids."""
 
 
 @dataclasses.dataclass(frozen=True)
