@@ -17,9 +17,14 @@ MAX_COLOR_DIFFERENCE = 3.0
 
 ASPECTS = ("triangles", "extents", "color")
 
+_ESTIMATED = "its surface is estimated"
+"""Note on a point cloud, whose file states no triangles."""
+
 NOTED: dict[str, tuple[str, ...]] = {
-    "triangles": ("several scenes", "meshes outside the scene", "outlines that cross themselves", "is not read: the finest level is"),
-    "extents": ("several scenes", "meshes outside the scene", "the pose at rest is"),
+    "triangles": (
+        "several scenes", "meshes outside the scene", "outlines that cross themselves", "is not read: the finest level is", _ESTIMATED,
+    ),
+    "extents": ("several scenes", "meshes outside the scene", "the pose at rest is", _ESTIMATED),
     "color": (
         "is missing, drawn without it", "cannot be decoded, drawn without it", "cannot be decoded: drawn without it",
         "is in no library, drawn without it", "for their image: drawn without it", "does not exist: drawn without it",
@@ -29,7 +34,7 @@ NOTED: dict[str, tuple[str, ...]] = {
         "vertices state no color: they are gray", "is taken for its image, by its name",
         "is black under its image: the image is taken as it is", "its clamped texture is read at the vertices alone",
         "vertex colors over a texture are read as their mean", "colors are those of the base color", "the default materials are",
-        "specular colors are not read", "colors without their alpha", "that let light through are read as solid",
+        "specular colors are not read", "colors without their alpha", "that let light through are read as solid", _ESTIMATED,
     ),
 }  # fmt: skip
 """Phrases of the notes that explain a difference, by aspect."""

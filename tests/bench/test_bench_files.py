@@ -78,6 +78,13 @@ def test_notes_that_hold_a_word_of_another_do_not_excuse_a_difference(tmp_path: 
         assert verdict_of(outcome, {"judge": dataclasses.replace(outcome.measure, **change)}).verdict == "silent"
 
 
+def test_a_surface_that_a_reader_estimates_is_noted(tmp_path: Path) -> None:
+    note = "a.ply: a point cloud of 9 points: its surface is estimated, with voxels of 2 cm"
+    outcome = dataclasses.replace(read(tmp_path, "a.obj", BOX + FACES), notes=("a.ply: psz: not used", note))
+    judged = ModelMeasure(3, (-9.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    assert verdict_of(outcome, {"judge": judged}) == Comparison("noted", note)
+
+
 def test_phrases_that_excuse_a_difference_are_those_of_notes() -> None:
     texts = "".join(path.read_text() for path in sorted((REPOSITORY / "tasks").rglob("*.py")))
     assert [phrase for phrases in NOTED.values() for phrase in phrases if phrase not in texts] == []
