@@ -23,7 +23,7 @@ PATIENCE_SECONDS = 600.0
 USD_ENDINGS = (".usd", ".usda", ".usdc", ".usdz")
 
 Verdict = ModelMeasure | str
-"""What a judge reads, or the reason that it reads nothing."""
+"""Measures by a judge, or the reason that it reads nothing."""
 
 
 def has_assimp() -> bool:
@@ -56,7 +56,7 @@ def _assimp_parts(document: Any) -> Iterator[ModelPart]:
             mesh = document["meshes"][number]
             points = np.array(mesh["vertices"], dtype=np.float64).reshape(-1, 3)
             fans = [(face[0], face[i], face[i + 1]) for face in mesh.get("faces", []) for i in range(1, len(face) - 1)]
-            with np.errstate(invalid="ignore"):  # what is not finite is told by its measure
+            with np.errstate(invalid="ignore"):  # `measure` reports coordinates that are not finite
                 placed = points @ pose[:3, :3].T + pose[:3, 3]
             yield ModelPart(placed, np.array(fans, dtype=np.int64).reshape(-1, 3))
 

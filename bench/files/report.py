@@ -90,16 +90,17 @@ def _verdicts(path: Path, by_threejs: Callable[[Path], Verdict] | None, missing:
 
 def _rows(path: Path, name: str, corpus: Path, verdicts: Mapping[str, Verdict]) -> list[dict[str, Any]]:
     """One row for each reader. A doctor must name an error in each file that all readers of its kind refuse for its geometry."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     accepting = [reader for reader in READERS if path.suffix.lower() in reader.endings]
     for reader in accepting:
-        verdict, reason = verdict_of(reader.read(path, corpus), verdicts)
-        rows.append({"file": name, "reader": reader.name, "verdict": verdict, "reason": reason})
+        compared = verdict_of(reader.read(path, corpus), verdicts)
+        row = {"file": name, "reader": reader.name, "verdict": compared.verdict, "reason": compared.reason}
+        rows.append(row | {"unchecked": list(compared.unchecked)})
     for doctor in DOCTORS:
         if path.suffix.lower() in doctor.endings:
             outcome = doctor.read(path, corpus)
             is_refused = any(row["verdict"] == "refused" for row in rows if row["reader"] == "library")
             verdict = "refused" if outcome.reason else "silent" if is_refused else "noted" if outcome.notes else "agrees"
             reason = outcome.reason or "; ".join(outcome.notes)[:200]
-            rows.append({"file": name, "reader": doctor.name, "verdict": verdict, "reason": reason})
+            rows.append({"file": name, "reader": doctor.name, "verdict": verdict, "reason": reason, "unchecked": []})
     return rows

@@ -203,7 +203,9 @@ def _blocks(data: bytes) -> Iterator[tuple[str, dict[str, str]]]:
                 yield name, statements
             name, statements = " ".join(rest.split()), {}
         elif rest:
-            statements[words[0].lower()] = rest
+            keyword = words[0].lower()
+            # Names of images may hold a `#`, which starts a comment behind numbers.
+            statements[keyword] = rest if _MAP.fullmatch(keyword) else rest.partition("#")[0].strip()
     if name is not None:
         yield name, statements
 

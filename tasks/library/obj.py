@@ -10,7 +10,7 @@ from tasks.ingestion.materials import material_files
 from tasks.library.format import ModelFormat, ReadModel
 
 MOST_BYTES = 128 * 2**20
-"""Of the text: its reader takes ten times as much memory, and two million faces fit."""
+"""Largest text of a model: its reader takes ten times as much memory, and two million faces fit."""
 
 
 def _read(path: Path, root: Path) -> ReadModel:

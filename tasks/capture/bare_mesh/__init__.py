@@ -21,7 +21,7 @@ from tasks.ingestion import models
 from tasks.ingestion.materials import material_files
 
 SUFFIXES = (".obj", ".ply", ".usdz", ".glb")
-"""Of files that are read. GLBs are looked at as scenes of named objects first, unless this format is asked for by name."""
+"""Endings of the files that are read. GLBs are tried as scenes of named objects first, unless this format is asked for by name."""
 
 NO_FRAMES = "no frames in the scan: no views, no masks"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 from array import array
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +24,9 @@ MAX_CORNERS = 4096
 """Most corners of a face: clipping the ears of an outline takes a time that grows with their square."""
 
 _FREE_FORM = frozenset({"curv", "curv2", "surf"})
+_NAMING = frozenset({b"usemtl", b"mtllib", b"g", b"o"})
+"""Statements whose names may hold a `#`, which starts a comment in all others."""
+
 _ELEMENTS = {b"p": "points", b"l": "lines"}
 
 
@@ -57,8 +61,11 @@ def parse_obj(data: bytes, name: str) -> ObjText:
     names: dict[str, int] = {}
     current, faces = -1, 0
     elements: dict[str, int] = {}
-    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n").split(b"\n"):
+    # Lines are read one at a time: a list of all would take several times the file.
+    for line in io.BytesIO(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")):
         words = line.split()
+        if b"#" in line and not (words and words[0].lower() in _NAMING):
+            words = line.partition(b"#")[0].split()
         kind = words[0] if words else b""
         if kind == b"v":
             _add_numbers(words[1:4], 3, points, name, "v")
@@ -93,6 +100,7 @@ def parse_obj(data: bytes, name: str) -> ObjText:
             highest = int(table[:, column].max()) + 1
             raise InputError(name, "faces", f"one names {what} {highest} of {count}: a {what} that does not exist", AGAIN)
     triangles = triangulate(vertices[table[:, 0]], np.array(counts, dtype=np.int64))
+    notes += [*triangles.notes]
     notes += [f"{count} {what}: are not read: they have no surface" for what, count in elements.items()]
     owners = np.array(materials, dtype=np.int64)[triangles.owner]
     vertex_of, place_of = table[triangles.corners, 0], table[triangles.corners, 1]
@@ -161,7 +169,8 @@ def read_obj(path: Path, name: str, texture: NDArray[np.uint8] | None = None) ->
     Raises:
         InputError: see `parse_obj`; or the coordinates are not those of a room.
     """
-    text = parse_obj(read_bytes(path, name, BUDGET.scene_bytes), name)
+    # Text takes many times its bytes, so it has the limit of other text, not that of a scene.
+    text = parse_obj(read_bytes(path, name, BUDGET.model_bytes), name)
     check_vertices(text.vertices, name)
     colors = np.full((len(text.vertices), 3), GRAY, dtype=np.uint8)
     if texture is not None and (text.corners >= 0).all():

@@ -218,7 +218,7 @@ def _any_kind(data: bytes, start: int, order: str, elements: list[PlyElement], p
         raise InputError(name, f"face {row}", f"names a vertex that does not exist, of {len(vertices)}", AGAIN)
     images = PlyImages(path, texture_names(data))
     colors = vertex_colors_of(content, len(vertices), triangles, images.read)
-    return (vertices, triangles.faces, colors), tuple(images.notes)
+    return (vertices, triangles.faces, colors), (*images.notes, *(f"{path.name}: {note}" for note in triangles.notes))
 
 
 class PlyImages:

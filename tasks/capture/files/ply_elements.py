@@ -170,11 +170,12 @@ def _numbers(words: list[bytes]) -> NDArray[np.float64]:
 @dataclasses.dataclass(frozen=True)
 class Triangles:
     """Triangles of polygons. faces: Vertices, shape (m, 3). owner: Polygon of each triangle, shape (m,). corners: Positions of its
-    corners among those of all polygons, shape (m, 3)."""
+    corners among those of all polygons, shape (m, 3). notes: Polygons that are not exact, a line each."""
 
     faces: NDArray[np.int64]
     owner: NDArray[np.int64]
     corners: NDArray[np.int64]
+    notes: tuple[str, ...] = ()
 
 
 def triangles_of(column: PlyColumn, vertices: NDArray[np.float64]) -> Triangles:
@@ -187,7 +188,7 @@ def triangles_of(column: PlyColumn, vertices: NDArray[np.float64]) -> Triangles:
         indices = column.values.astype(np.int64)
     known = np.clip(indices, 0, max(len(vertices) - 1, 0))
     triangles = triangulate(vertices[known] if len(vertices) else np.zeros((len(known), 3)), column.counts)
-    return Triangles(indices[triangles.corners].reshape(-1, 3), triangles.owner, triangles.corners)
+    return Triangles(indices[triangles.corners].reshape(-1, 3), triangles.owner, triangles.corners, triangles.notes)
 
 
 def index_column(columns: Columns) -> PlyColumn | None:

@@ -21,10 +21,17 @@ class Triangulation:
     """Triangulation of polygons.
 
     corners: positions among the corners of all polygons, shape (m, 3). owner: polygon of each triangle, shape (m,).
+    crossed: number of polygons whose outlines cross themselves; they stay fans.
     """
 
     corners: Integers
     owner: Integers
+    crossed: int = 0
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A line about the outlines that cross themselves, if there are any."""
+        return (f"outlines that cross themselves ({self.crossed}): their area is not exact",) if self.crossed else ()
 
 
 def triangulate(points: NDArray[np.float64], counts: Integers) -> Triangulation:
@@ -42,17 +49,21 @@ def triangulate(points: NDArray[np.float64], counts: Integers) -> Triangulation:
     corners = np.column_stack([first, first + step + 1, first + step + 2])
     if counts.max(initial=0) <= 3:
         return Triangulation(corners, owner)
-    pieces = {number: _clipped(points, int(starts[number]), int(counts[number])) for number in _concave(points, corners, owner, counts)}
-    known = {number: piece for number, piece in pieces.items() if piece is not None}
-    if not known:
-        return Triangulation(corners, owner)
-    is_fan = ~np.isin(owner, list(known))
-    owners = np.concatenate([owner[is_fan], *(np.full(len(piece), number) for number, piece in known.items())])
+    concave = _concave(points, corners, owner, counts)
+    is_quad = counts[concave] == 4
+    quads, is_split = _split_quads(points, starts[concave[is_quad]])
+    quad_owners = np.repeat(concave[is_quad][is_split], 2)
+    pieces = {int(number): _clipped(points, int(starts[number]), int(counts[number])) for number in concave[~is_quad]}
+    clipped = {number: piece for number, piece in pieces.items() if piece is not None}
+    crossed = len(pieces) - len(clipped) + int((~is_split).sum())
+    is_fan = ~np.isin(owner, np.concatenate([quad_owners, np.array(list(clipped), dtype=np.int64)]))
+    owners = np.concatenate([owner[is_fan], quad_owners, *(np.full(len(piece), number) for number, piece in clipped.items())])
     order = np.argsort(owners, kind="stable")
-    return Triangulation(np.concatenate([corners[is_fan], *known.values()])[order], owners[order])
+    triangles = np.concatenate([corners[is_fan], quads, *clipped.values()])[order]
+    return Triangulation(triangles, owners[order], crossed)
 
 
-def _concave(points: NDArray[np.float64], corners: Integers, owner: Integers, counts: Integers) -> list[int]:
+def _concave(points: NDArray[np.float64], corners: Integers, owner: Integers, counts: Integers) -> Integers:
     """Polygons whose fans have a triangle that turns against the others."""
     with np.errstate(invalid="ignore", over="ignore"):
         crosses = _crosses(points[corners])
@@ -60,7 +71,35 @@ def _concave(points: NDArray[np.float64], corners: Integers, owner: Integers, co
         np.add.at(normals, owner, crosses)
         along = np.einsum("md,md->m", crosses, normals[owner])
         is_turned = along < -MIN_TURN * np.einsum("md,md->m", normals[owner], normals[owner])
-    return [int(number) for number in np.unique(owner[is_turned])]
+        # Halves of an outline that crosses itself in its middle cancel out.
+        sizes = np.bincount(owner, np.linalg.norm(crosses, axis=1), minlength=len(counts))
+        is_turned |= (np.linalg.norm(normals, axis=1) < MIN_TURN * sizes)[owner]
+        # Turns of outlines without an area come from rounding.
+        lengths = np.zeros(len(counts))
+        np.maximum.at(lengths, owner, np.square(points[corners] - points[corners[:, :1]]).sum(axis=2).max(axis=1))
+        is_turned &= (sizes > MIN_TURN * lengths)[owner]
+    return np.unique(owner[is_turned])
+
+
+def _split_quads(points: NDArray[np.float64], starts: Integers) -> tuple[Integers, NDArray[np.bool_]]:
+    """Split concave quads along the diagonal from their second corner to their fourth.
+
+    Args:
+        points: position of each corner, shape (c, 3).
+        starts: first corner of each quad, shape (q,). The fans from these corners leave their outlines.
+
+    Returns:
+        Triangles of the quads that this diagonal splits, two for each, shape (2 k, 3), and which quads these are, shape (q,).
+    """
+    triangles = starts[:, None, None] + np.array([[0, 1, 3], [1, 2, 3]])
+    with np.errstate(invalid="ignore", over="ignore"):
+        crosses = _crosses(points[triangles.reshape(-1, 3)]).reshape(-1, 2, 3)
+        normals = crosses.sum(axis=1)
+        along = np.einsum("qtd,qd->qt", crosses, normals)
+        # A comparison with a value that is not finite is false: such quads are not split.
+        is_split = (along >= -MIN_TURN * np.einsum("qd,qd->q", normals, normals)[:, None]).all(axis=1)
+        is_split &= np.linalg.norm(normals, axis=1) >= MIN_TURN * np.linalg.norm(crosses, axis=2).sum(axis=1)
+    return triangles[is_split].reshape(-1, 3), is_split
 
 
 def _crosses(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -83,9 +122,10 @@ def _clipped(points: NDArray[np.float64], start: int, count: int) -> Integers | 
     faces = mapbox_earcut.triangulate_float64(plane, np.array([count], dtype=np.uint32)).astype(np.int64).reshape(-1, 3)
     crosses = _crosses(moved[faces])
     along = crosses @ normal
-    # Triangulation keep the winding of their outline.
+    # The triangles keep the winding of the outline.
     faces = np.where((along < 0)[:, None], faces[:, ::-1], faces)
     area = float(np.linalg.norm(normal))
-    if abs(float(np.abs(along).sum()) / max(area, 1e-300) - area) > MAX_AREA_ERROR * area:
+    size = float(np.linalg.norm(crosses, axis=1).sum())
+    if area <= MIN_TURN * size or abs(float(np.abs(along).sum()) / area - area) > MAX_AREA_ERROR * area:
         return None
     return faces + start

@@ -14,7 +14,7 @@ MAX_SIDE_PX = 960
 """Longer side of the images: views are crops of 256 pixels, and depth has 256."""
 
 QUALITY = 92
-"""Of JPEGs: finer than the video itself."""
+"""Quality of JPEGs: finer than the video itself."""
 
 CODE = "from tasks.capture.files.video import main; main()"
 

@@ -21,7 +21,7 @@ from tasks.capture.reading import Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
 
 SUFFIXES = (".pcd", ".xyz", ".pts", ".las", ".laz", ".e57", ".ply")
-"""Of files that are read. PLY files are looked at as meshes first, unless this format is asked for by name."""
+"""Endings of the files that are read. PLY files are tried as meshes first, unless this format is asked for by name."""
 
 NO_FRAMES = "no frames in the scan: no views, no masks"
 

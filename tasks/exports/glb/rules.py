@@ -20,7 +20,7 @@ from schemas.files import read_file
 from tasks.containers import GLB_MAGIC, open_glb, over_budget
 from tasks.exports.findings import Finding
 from tasks.exports.glb.tree import Document, listed, roots_of, seen_of, tree
-from tasks.geometry.gltf.features import find_features
+from tasks.geometry.gltf.features import MAX_MODE, find_features
 from tasks.geometry.gltf.plain import is_encoded, plain_glb
 
 RULES: dict[str, str] = {
@@ -140,6 +140,8 @@ def _shape(file: str, document: Document) -> Iterator[Finding]:
             fine = isinstance(attributes, dict) and "POSITION" in attributes and all(map(_is_index, attributes.values()))
             if not fine or not all(_is_index(primitive.get(key, 0)) for key in ("indices", "material", "mode")):
                 yield Finding("shape", where, "a primitive has no POSITION, or what is no index")
+            elif primitive.get("mode", 0) > MAX_MODE:
+                yield Finding("shape", where, f"a primitive has the mode {primitive['mode']!r:.20}, above {MAX_MODE}")
     yield from _material_shapes(file, document)
 
 

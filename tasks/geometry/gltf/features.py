@@ -146,14 +146,14 @@ def check_features(document: Document, file: str) -> tuple[str, ...]:
             notes.append(f"{file}: {entry.text}")
     for field, problem in _misshapen(document):
         raise InputError(file, field, problem, "export it again")
-    modes = {primitive.get("mode", 4) for mesh in entries(document, "meshes") for primitive in entries(mesh, "primitives")}
-    if modes and modes <= _SURFACELESS:
+    primitives = primitives_of(document)
+    if primitives and all(map(is_surfaceless, primitives)):
         raise InputError(file, "meshes", "holds no triangles, only points and lines", "export it with its faces")
     return tuple(notes)
 
 
-_SURFACELESS = {0, 1, 2, 3}
-"""Modes of points and lines (glTF 2.0, 3.7.2.1)."""
+MAX_MODE = 6
+"""Highest mode of a primitive; 0 to 3 are points and lines, 4 to 6 triangles (glTF 2.0, 3.7.2.1)."""
 
 
 def _misshapen(document: Document) -> Iterator[tuple[str, str]]:
@@ -196,6 +196,11 @@ def _broken_lists(document: Document) -> Iterator[tuple[str, str]]:
     for field, value in holders:
         if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
             yield field, "is not a list of objects"
+    for index, mesh in enumerate(entries(document, "meshes")):
+        for primitive in entries(mesh, "primitives"):
+            mode = primitive.get("mode", 4)
+            if type(mode) is not int or not 0 <= mode <= MAX_MODE:
+                yield f"mesh {index}", f"a primitive has the mode {mode!r:.20}, not a number from 0 to {MAX_MODE}"
     for key in _LISTS:
         for index, entry in enumerate(entries(document, key)):
             if not isinstance(entry.get("name"), str | None):
@@ -234,13 +239,12 @@ def _broken_lists(document: Document) -> Iterator[tuple[str, str]]:
 def _core_counts(document: Document) -> dict[str, int]:
     """Places of the features of glTF itself that are not read in full."""
     version = objects(document.get("asset"))[0].get("version", "2.0") if isinstance(document.get("asset"), dict) else "2.0"
-    nodes, meshes, scenes = (entries(document, key) for key in ("nodes", "meshes", "scenes"))
-    primitives = [entry for mesh in meshes for entry in entries(mesh, "primitives")]
+    nodes, scenes = entries(document, "nodes"), entries(document, "scenes")
     drawn = drawn_nodes(document)
     shown = {nodes[index].get("mesh") for index in drawn if isinstance(nodes[index].get("mesh"), int)}
     placed = {node["mesh"] for node in nodes if isinstance(node.get("mesh"), int)}
     return {
-        "points and lines": sum(entry.get("mode", 4) in _SURFACELESS for entry in primitives),
+        "points and lines": sum(map(is_surfaceless, primitives_of(document))),
         "animations": len(entries(document, "animations")),
         "cameras": len(entries(document, "cameras")),
         "several scenes": len(scenes) if len(scenes) > 1 else 0,
@@ -250,6 +254,17 @@ def _core_counts(document: Document) -> dict[str, int]:
         "glTF 1.0": int(str(version).startswith("1") or isinstance(document.get("meshes"), dict)),
         "no scene": int(bool(placed) and not scenes),
     }
+
+
+def primitives_of(document: Document) -> list[dict[str, Any]]:
+    """Primitives of all meshes."""
+    return [primitive for mesh in entries(document, "meshes") for primitive in entries(mesh, "primitives")]
+
+
+def is_surfaceless(primitive: Document) -> bool:
+    """True for points and lines."""
+    mode = primitive.get("mode", 4)
+    return type(mode) is int and 0 <= mode <= 3
 
 
 def is_elsewhere(holder: Document) -> bool:

@@ -16,22 +16,24 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 CYCLES = {"X": (2, 0, 1), "Y": (1, 2, 0), "Z": (0, 1, 2)}
-"""Which coordinate of a solid around z becomes x, y and z of one around another axis."""
+"""Order of coordinates that turns a solid around z to another axis."""
 
 SECTIONS = 24
-"""Sides of what is round."""
+"""Sides of round solids."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Polygons:
     """Faces of any number of corners. points: In the prim's frame, shape (n, 3). point_of: every corner's point, shape (c,). face_of:
-    every corner's face, shape (c,). triangles: of corners, shape (m, 3). owner: every triangle's face, shape (m,)."""
+    every corner's face, shape (c,). triangles: of corners, shape (m, 3). owner: every triangle's face, shape (m,).
+    notes: faces that are not exact, a line each."""
 
     points: Array
     point_of: Integers
     face_of: Integers
     triangles: Integers
     owner: Integers
+    notes: tuple[str, ...] = ()
 
 
 def polygons_of(prim: Any, name: str) -> Polygons | None:
@@ -74,11 +76,12 @@ def _mesh(mesh: Any, name: str) -> Polygons:
         raise InputError(name, path, f"has {len(point_of)} corners where its faces count {counts.sum()}", "export it again")
     if len(point_of) and not 0 <= point_of.min() <= point_of.max() < len(points):
         raise InputError(name, path, "has faces of points that are not there", "export it again")
-    made = triangulate(points[point_of], counts)
-    triangles, owner = made.corners, made.owner
+    triangulation = triangulate(points[point_of], counts)
+    triangles = triangulation.corners
     if first(mesh.GetOrientationAttr()) == "leftHanded":
         triangles = triangles[:, ::-1]
-    return Polygons(points, point_of, np.repeat(np.arange(len(counts)), counts), triangles, owner)
+    face_of = np.repeat(np.arange(len(counts)), counts)
+    return Polygons(points, point_of, face_of, triangles, triangulation.owner, triangulation.notes)
 
 
 def _solid(prim: Any) -> Any:

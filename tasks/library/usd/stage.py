@@ -200,6 +200,7 @@ class Flattened:
         shape = polygons_of(prim, self._name)
         if shape is None or not len(shape.triangles):
             return
+        self.notes += [f"{prim.GetPath()}: {note}" for note in shape.notes]
         for bound, chosen in subsets(prim, shape):
             color, file, is_linear = look_of(bound)
             if is_see_through(bound):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
+from tasks.capture.files import obj
 from tasks.capture.files.obj import ObjText, parse_obj
 from tasks.geometry.meshes import surface_of
 from tasks.ingestion.models import read_model
@@ -119,3 +122,33 @@ def test_points_and_lines_are_noted_or_named_if_alone(tmp_path: Path) -> None:
 def test_free_form_surfaces_are_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="surf: uses free-form curves or surfaces"):
         read(tmp_path, SQUARE + "f 1 2 3\nsurf 0 1 0 1 1 2 3 4\nend\n")
+
+
+COMMENTS = ["# top", "#", "#f 1 2 9", "# origin of the room", "# 0.1 0.2 0.3", "\t# 9"]
+
+
+@given(st.sampled_from(COMMENTS), st.sampled_from([" ", ""]))
+def test_comments_behind_statements_change_nothing(comment: str, blank: str) -> None:
+    lines = [*SQUARE.splitlines(), "vt 0 0", "vn 0 0 1", "s 1", "f 1/1 2/1 3/1", "f 1 3 4", "p 1", "l 1 2"]
+    text, plain = (parse_obj("\n".join(line + end for line in lines).encode(), "a.obj") for end in (blank + comment, ""))
+    assert faces_of(text) == faces_of(plain)
+    assert text.colors is None
+    assert (text.corners.tolist(), text.notes) == (plain.corners.tolist(), plain.notes)
+
+
+def test_comments_behind_colors_are_cut_and_names_keep_their_signs(tmp_path: Path) -> None:
+    library = "newmtl wood#2\nKd 1 0 0 # red\nd 1 # solid\nnewmtl glass\nKd 0 0 1#blue\nd 0.5 # half\n"
+    text = "mtllib a.mtl\n" + SQUARE + "g a # b\nusemtl wood#2\nf 1 2 3 # top\nusemtl glass\nf 1 3 4\n"
+    assert read(tmp_path, text, library) == (
+        [[255, 0, 0], [0, 0, 255]],
+        ["materials that let light through are read as solid: glass"],
+    )
+    colored = "".join(f"{line} 1 0 0 # corner\n" for line in SQUARE.splitlines())
+    assert read(tmp_path, colored + "f 1 2 3 4\n") == ([[255, 0, 0]], [])
+
+
+def test_a_mesh_of_text_has_the_limit_of_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(obj, "BUDGET", dataclasses.replace(BUDGET, model_bytes=40))
+    (tmp_path / "a.obj").write_text(SQUARE + "f 1 2 3 4\n")
+    with pytest.raises(InputError, match=r"^a\.obj: "):
+        obj.read_obj(tmp_path / "a.obj", "a.obj")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 import re
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from schemas.errors import InputError
 from tasks.exports.glb.rules import check_glb
-from tasks.geometry.gltf.features import CORE, EXTENSIONS, find_features
+from tasks.geometry.gltf.features import CORE, EXTENSIONS, check_features, find_features
 from tasks.geometry.gltf.plain import read_features
 from tasks.geometry.meshes import load_glb
 from tests.conftest import REPOSITORY
@@ -204,3 +207,49 @@ def test_a_file_of_points_and_lines_alone_is_refused_by_name(mode: int) -> None:
     made.document["meshes"][0]["primitives"][0]["mode"] = mode
     with pytest.raises(InputError, match="holds no triangles, only points and lines"):
         read_features(made.data(), "room.glb")
+
+
+ODD_VALUES: list[Any] = [[1], [], {}, {"a": [1]}, "x", None, True, 1.5, 4.0, -1, 7, 10**30, [[]], float("nan"), float("inf")]
+
+
+def paths_of(value: Any, above: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Keys that lead to each value of a document."""
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [path for key, entry in inner for path in ((*above, key), *paths_of(entry, (*above, key)))]
+
+
+def odd_documents() -> Iterator[tuple[tuple[Any, ...], dict[str, Any]]]:
+    """Documents of one odd value each, and its place."""
+    for make in (gltf_files.plain, gltf_files.filmed, with_cut_out, with_scenes, with_animation):
+        document = {**make().document, "extensionsUsed": ["KHR_xmp"], "extensionsRequired": ["KHR_xmp"]}
+        document["meshes"][0]["primitives"][0]["mode"] = 4
+        document["nodes"][0].setdefault("extensions", {"KHR_node_visibility": {"visible": True}})
+        for *above, last in paths_of(document):
+            for value in ODD_VALUES:
+                altered = copy.deepcopy(document)
+                holder: Any = altered
+                for key in above:
+                    holder = holder[key]
+                holder[last] = copy.deepcopy(value)
+                yield (*above, last), altered
+
+
+def test_values_of_any_kind_are_read_or_refused_in_one_line() -> None:
+    refused = set()
+    for path, document in odd_documents():
+        find_features(document)
+        try:
+            check_features(document, "room.glb")
+        except InputError as error:
+            refused |= {path} if "\n" not in str(error) else set()
+    assert {("meshes", 0, "primitives", 0, "mode"), ("scene",), ("nodes",), ("scenes", 0, "nodes", 0)} <= refused
+
+
+@pytest.mark.parametrize("mode", [[1], {}, "4", None, True, 4.0, -1, 7, 10**30])
+def test_a_mode_that_is_not_a_mode_is_refused_by_readers_and_doctor(mode: Any, tmp_path: Path) -> None:
+    made = gltf_files.plain()
+    made.document["meshes"][0]["primitives"][0]["mode"] = mode
+    with pytest.raises(InputError, match=r"^room\.glb: mesh 0: a primitive has the mode .*, not a number from 0 to 6"):
+        load_glb(made.data(), "room.glb")
+    (tmp_path / "room.glb").write_bytes(made.data())
+    assert [finding.rule for finding in check_glb(tmp_path / "room.glb")] == ["shape"]
