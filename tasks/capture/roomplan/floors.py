@@ -123,7 +123,7 @@ def ground_within(lines: Sequence[Array]) -> Ground:
     """
     import shapely
 
-    plan = np.array([shapely.LineString(line[:, :2]) for line in lines if len(line) > 1])
+    plan = np.array([shapely.LineString(line[:, :2]) for line in lines if len(line) > 1], dtype=object)
     half = 0.5 * MAX_GAP_M
     thick = shapely.union_all(shapely.buffer(plan, half, join_style="mitre", cap_style="square"))
     rings = [ring for piece in shapely.get_parts(thick) for ring in getattr(piece, "interiors", ())]
@@ -135,8 +135,14 @@ def ground_within(lines: Sequence[Array]) -> Ground:
     open_walls = plan[within < 0.5 * shapely.length(plan)]
     pieces = shapely.get_parts(shapely.union_all(shapely.buffer(plan, 0.5 * MAX_OPENING_M)))
     wall_rows, piece_rows = shapely.STRtree(pieces).query(open_walls, predicate="intersects")
-    hulls = [shapely.union_all(open_walls[wall_rows[piece_rows == row]]).convex_hull for row in np.unique(piece_rows)]
+    groups = [open_walls[wall_rows[piece_rows == row]] for row in np.unique(piece_rows)]
+    hulls = [shapely.union_all(group).convex_hull for group in groups]
     ground = shapely.union_all([closed, *(piece for piece in hulls if piece.geom_type == "Polygon")])
+    # Walls that stand alone have a hull together; next to a larger ground they are no room.
+    alone = [wall for group, piece in zip(groups, hulls, strict=True) if piece.geom_type != "Polygon" for wall in group]
+    common = shapely.union_all(alone).convex_hull
+    if ground.area < MIN_COVER * common.area:
+        ground = shapely.union_all([ground, common])
     if ground.area <= closed.area * (1.0 + 1e-3) + 1e-6:
         return Ground(hull, False, hull.area) if closed.is_empty else Ground(closed, True, hull.area)
     return Ground(ground, False, hull.area)

@@ -140,6 +140,13 @@ def test_a_column_is_not_the_ground_of_a_room_with_a_gap(gap: float, place: tupl
     assert ground.is_closed == (gap == 0.0)
 
 
+def test_a_column_is_not_the_ground_between_walls_that_stand_alone() -> None:
+    walls_alone = [np.array(line, dtype=np.float64) for line in ([[2.5, 0], [7.5, 0]], [[10, 2.5], [10, 7.5]], [[2.5, 10], [7.5, 10]])]
+    ground = ground_within([*walls_alone, *ring(5, 5, 0.8, 0.8)])
+    assert ground.area == pytest.approx(68.75, abs=1.0)
+    assert not ground.is_closed
+
+
 @pytest.mark.parametrize("gap", [0.9, 2.5])
 def test_an_open_room_next_to_a_closed_one_has_ground(gap: float) -> None:
     walls_of_both = [*ring(0, 0, 4, 3), *ring(4.1, 0, 5, 3, gap)]
