@@ -83,6 +83,11 @@ def step_of(count: int) -> int:
     return max(1, -(-count // MAX_FRAMES))
 
 
+def thinned(name: str, step: int, count: int) -> list[str]:
+    """A note on frames that are left out, none if all are used."""
+    return [f"{name}: 1 of every {step} frames is used, of {count} in all"] if step > 1 else []
+
+
 def missing(name: str, package: str, field: str, other: str) -> InputError:
     """The error of a packed file whose decoder is not installed. other: a way without it."""
     return InputError(name, field, f"is decoded by {package}, which is not installed", f"{EXTRA}, or {other}")

@@ -12,7 +12,7 @@ from tasks.capture.labels import normalized
 from tasks.capture.multiscan.annotation import AnnotatedObject
 from tasks.capture.roomplan.elements import RoomElement
 from tasks.capture.roomplan.floors import floor_within
-from tasks.capture.roomplan.surfaces import Assembly, ElementPart, assembled, box_part, ceiling_part, floor_part, wall_parts
+from tasks.capture.roomplan.surfaces import Assembly, ElementPart, assembled, box_part, ceiling_part, floor_part, sheets_of, wall_parts
 
 LEAVES = ("door", "window", "gate")
 """Last words of what walls have holes for."""
@@ -32,7 +32,8 @@ def box_surfaces(objects: Sequence[AnnotatedObject], turn: NDArray[np.float64], 
     notes = [f"{file}: {entry.field} ({entry.name}): has no box, left out" for entry in objects if entry.box is None]
     walls = [_standing(box) for entry, box in kept if _kind(entry) == "wall"]
     holes = [_standing(box) for entry, box in kept if _kind(entry) in LEAVES]
-    cut_walls, wall_notes = wall_parts(walls, holes, name)
+    sheets, _ = sheets_of(walls, name)
+    cut_walls, wall_notes = wall_parts(walls, sheets, holes, name)
     cut = iter(cut_walls)
     notes += wall_notes
     elements = []
@@ -48,7 +49,7 @@ def box_surfaces(objects: Sequence[AnnotatedObject], turn: NDArray[np.float64], 
                 part = box_part(box)
         elements.append(ElementPart(entry.source_id, entry.label, f"{file}: {entry.field}", f"{file}: {entry.field}.label", part))
     if walls and not any(_kind(entry) == "floor" for entry, _ in kept):
-        elements.append(ElementPart("floor", "floor", f"{file}: objects", f"{file}: objects", floor_within(walls)))
+        elements.append(ElementPart("floor", "floor", f"{file}: objects", f"{file}: objects", floor_within(walls, sheets)))
         notes.append("no floor in the scan: taken to lie within the walls")
     return assembled(elements, name, "objects", "give the scan its mesh, or an annotation with boxes"), notes
 

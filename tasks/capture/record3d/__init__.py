@@ -26,11 +26,11 @@ from tasks.capture.files.images import MAX_IMAGE_BYTES, MAX_PIXELS
 from tasks.capture.files.lenses import Intrinsics, of_depth, resized_intrinsics
 from tasks.capture.files.sens import focal_and_center
 from tasks.capture.files.trajectory import Pose
-from tasks.capture.files.unpacked import is_installed, missing, step_of, unpacked
+from tasks.capture.files.unpacked import MAX_FRAMES, is_installed, missing, thinned, unpacked
 from tasks.capture.layout import FrameFiles
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
-from tasks.capture.record3d.archive import CODE, PACKED, frames_in
+from tasks.capture.record3d.archive import CODE, FILES, PACKED
 from tasks.capture.scan import Scan, ScanFormat, files_named, leaving, license_path, own_file
 from tasks.geometry.transforms import OPENGL_TO_OPENCV, Y_UP_TO_Z_UP, pose_from_quaternion_wxyz
 
@@ -100,15 +100,11 @@ def _opened(path: Path) -> tuple[Path, list[str]]:
     if not is_installed("lzfse"):
         raise missing(path.name, "lzfse", "depth", f"rename it to .zip and unzip it, then {UNPACK}")
     check_file(path, path.name, BUDGET.scene_bytes)
-    count = frames_in(path, path.name)
-    step = step_of(count)
-    recording = unpacked(CODE, path, path.name, [str(step)], count)
-    notes = [f"{path.name}: every {step}. of {count} frames is used"] if step > 1 else []
-    # Messages name the folder of the files: it gets the name of the recording.
-    folder = recording.folder / path.stem
-    if not folder.is_dir():
-        (recording.folder / "recording").rename(folder)
-    return folder, notes
+    # Messages name the folder of the files: it gets the name of the recording, unless that leads elsewhere.
+    title = path.stem if path.stem.strip(".") else FILES
+    recording = unpacked(CODE, path, path.name, [title], MAX_FRAMES)
+    step, count = int(recording.facts.get("step", 1)), int(recording.facts.get("frames", 0))
+    return recording.folder / FILES / title, thinned(path.name, step, count)
 
 
 def _decoded(frames: Sequence[FrameFiles], folder: Path) -> Path:
@@ -120,7 +116,7 @@ def _decoded(frames: Sequence[FrameFiles], folder: Path) -> Path:
     name = name_of(frames[0].depth or folder, folder)
     if not is_installed("lzfse"):
         raise missing(name, "lzfse", "content", UNPACK)
-    return unpacked(CODE, folder, name, ["1"], len(frames)).folder / "recording"
+    return unpacked(CODE, folder, name, [FILES], len(frames)).folder / FILES / FILES
 
 
 def _is_packed(path: Path | None, folder: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,8 +17,8 @@ Array = NDArray[np.float64]
 MAX_SAGITTA_M = 0.01
 """Distance between an arc and its chords: less than RoomPlan's own error on flat walls."""
 
-MAX_CHORDS = 64
-"""Chords of a wall: enough for a full circle of 4 m within the sagitta."""
+MAX_CHORDS = 320
+"""Chords of a wall: enough for a full circle of the largest radius within the sagitta."""
 
 MIN_RADIUS_M, MAX_RADIUS_M = 0.05, 200.0
 """Radii of walls: a pipe casing, and a wall that no scan tells from a flat one."""
@@ -47,6 +48,17 @@ class Curve:
     center: Array
     radius: float
     sweeps: tuple[tuple[float, float], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Neighbors:
+    """Ends of the other walls in the x-z plane of a wall [m].
+
+    middle: mean of the ends, shape (2,). gaps: function from points (n, 2) to their distances from the nearest end, shape (n,).
+    """
+
+    middle: Array
+    gaps: Callable[[Array], Array]
 
 
 class WallSheet(Protocol):
@@ -107,6 +119,11 @@ class Arc:
         return int(np.clip(np.ceil(abs(self.sweep) / step - 1e-9), 2, MAX_CHORDS))
 
     @property
+    def sagitta(self) -> float:
+        """Distance between the arc and its chords [m]."""
+        return self.radius * float(1.0 - np.cos(0.5 * self.sweep / self.chords))
+
+    @property
     def seams(self) -> Array:
         """Ends of the chords."""
         return np.linspace(-0.5, 0.5, self.chords + 1) * self.length
@@ -158,7 +175,7 @@ def curve_of(value: Any, name: str, field: str) -> Curve | None:
 
 
 def _angles(value: Any, name: str, field: str) -> tuple[float, ...]:
-    """An angle [rad]: a measurement with its unit, or a plain number, which is in radians or else in degrees."""
+    """An angle [rad]: a measurement with its unit, or a plain number, which may be in radians or in degrees."""
     if not isinstance(value, dict):
         number = float(json_floats([value], name, field, 1)[0])
         return number, float(np.radians(number))
@@ -170,13 +187,13 @@ def _angles(value: Any, name: str, field: str) -> tuple[float, ...]:
     return (float(np.radians(number * _DEGREES[symbol])),)
 
 
-def arc_of(curve: Curve, width: float, joints: Array) -> tuple[Arc, str]:
+def arc_of(curve: Curve, width: float, neighbors: Neighbors | None) -> tuple[Arc, str]:
     """The arc of a wall, and a remark on contradictions, '' without any.
 
     The file does not state from which axis angles count. The arc that ends where the wall's rectangle
     does is the stated one. If none does, the arc goes between the ends of the rectangle.
 
-    width: of the rectangle [m]. joints: ends of other walls in the wall's x-z plane [m], shape (n, 2).
+    width: of the rectangle [m]. neighbors: the other walls, None without any.
     """
     rectangle = np.array([[-0.5, 0.0], [0.5, 0.0]]) * width
     stated = [arc for sweep in curve.sweeps for arc in _readings(curve, *sweep)]
@@ -185,13 +202,14 @@ def arc_of(curve: Curve, width: float, joints: Array) -> tuple[Arc, str]:
     fitting = [arc for arc, gap in zip(stated, gaps, strict=True) if gap <= limit]
     if fitting:
         return fitting[0], ""
-    bent = _bent(curve, width, joints)
+    bent = _bent(curve, width, neighbors)
     # Neighbors decide: a wall begins where another one ends.
-    if len(joints):
-        misfits = [_misfit(arc, joints) for arc in (bent, *stated)]
+    if neighbors is not None:
+        arcs = (bent, *stated)
+        misfits = neighbors.gaps(np.concatenate([arc.ends for arc in arcs])).reshape(-1, 2).max(axis=1)
         best = int(np.argmin(misfits))
         if best and misfits[best] <= limit < misfits[0]:
-            return (bent, *stated)[best], f"dimensions state a width of {width:.2f} m, which ends elsewhere: the curve is used"
+            return arcs[best], f"dimensions state a width of {width:.2f} m, which ends elsewhere: the curve is used"
     return bent, f"its ends lie {min(gaps):.2f} m from those of its wall: bent between the ends of the wall"
 
 
@@ -209,24 +227,18 @@ def _readings(curve: Curve, start: float, end: float) -> list[Arc]:
     return arcs
 
 
-def _bent(curve: Curve, width: float, joints: Array) -> Arc:
+def _bent(curve: Curve, width: float, neighbors: Neighbors | None) -> Arc:
     """An arc of the stated sweep between the ends of the wall, away from the stated center, or from the other walls."""
     start, end = curve.sweeps[0]
     sweep = abs(end - start) if end > start else min(abs(end - start), 2.0 * np.pi - abs(end - start))
     sweep = float(np.clip(sweep, MIN_SWEEP, 2.0 * np.pi - MIN_SWEEP))
     radius = 0.5 * width / np.sin(0.5 * sweep)
     away = float(curve.center[1])
-    if abs(away) < MIN_END_GAP_M and len(joints):
-        away = float(joints[:, 1].mean())
+    if abs(away) < MIN_END_GAP_M and neighbors is not None:
+        away = float(neighbors.middle[1])
     side = -1.0 if away > 0 else 1.0
     center = np.array([0.0, -side * radius * np.cos(0.5 * sweep)])
     return Arc(center, float(radius), side * 0.5 * (np.pi + sweep), -side * sweep)
-
-
-def _misfit(arc: Arc, joints: Array) -> float:
-    """Largest distance from an end of an arc to the nearest end of another wall [m]."""
-    gaps = np.linalg.norm(arc.ends[:, None] - joints[None], axis=2)
-    return float(gaps.min(axis=1).max())
 
 
 def unrolled_corners(sheet: WallSheet, corners: Array, width: float) -> Array:

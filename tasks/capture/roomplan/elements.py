@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from schemas.errors import InputError
 from tasks.capture.files.documents import json_floats, plain_text
 from tasks.capture.roomplan.curves import Curve, curve_of
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, inverse, is_rigid, nearest_rigid, transform_points
+
+if TYPE_CHECKING:
+    import shapely
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -37,7 +40,8 @@ class RoomElement:
     """An element. pose: Its own frame (x along its width, y along its height, z its normal or depth) to the +Z-up frame, 4x4 [m].
     size: Width, height and depth [m], shape (3,). corners: Of its outline in its own frame [m], shape (n, 3), none where it is its
     rectangle. parent: Identifier of the wall that it is in. field: Where it stands in the file. curve: Of a wall that is not flat.
-    story: Number of its storey, None where the file states none."""
+    story: Number of its storey, None where the file states none. outline: Of a floor with several pieces or holes, in x and y of its own
+    frame [m]; None where its corners are the outline."""
 
     identifier: str
     category: str
@@ -48,6 +52,7 @@ class RoomElement:
     field: str
     curve: Curve | None = None
     story: int | None = None
+    outline: shapely.MultiPolygon | None = None
 
 
 def elements_of(value: Any, name: str, kind: str) -> tuple[list[RoomElement], list[str]]:

@@ -32,6 +32,12 @@ HEIGHTS_M = (0.5, 30.0)
 MAX_CORNER_M = 0.005
 """Distance of a wall's vertices from the corners of its box: others have holes or slopes."""
 
+MIN_PIECE_M2 = 1e-4
+"""Area of a piece of a floor: smaller ones are slits between triangles."""
+
+MAX_NAMED = 12
+"""Prims that a note names."""
+
 _LEVEL = 0.9
 """Vertical part of the normal of a floor's upper side."""
 
@@ -47,8 +53,8 @@ class _PrimMesh:
 
     @property
     def label(self) -> str:
-        """Label as RoomPlan's JSON has it: `washerDryer`."""
-        return self.prim.category[:1].lower() + self.prim.category[1:]
+        """Label as RoomPlan's JSON has it: `washerDryer`; without a category, that of the JSON's elements without one."""
+        return self.prim.category[:1].lower() + self.prim.category[1:] or "object"
 
 
 def package_reading(room: RoomModel, license: str | None, name: str, notes: Sequence[str]) -> Reading:
@@ -83,7 +89,7 @@ def package_reading(room: RoomModel, license: str | None, name: str, notes: Sequ
 
 
 def _change(room: RoomModel, name: str) -> tuple[Array, list[str]]:
-    """What brings the file's coordinates to the +Z-up frame, 4x4 [m], and notes on facts that the file lacks."""
+    """The file's frame to the +Z-up frame, 4x4 [m], and notes on facts that the file lacks."""
     notes = []
     up = room.model.up
     if up is None:
@@ -93,7 +99,7 @@ def _change(room: RoomModel, name: str) -> tuple[Array, list[str]]:
     walls = [
         float(np.ptp(np.asarray(part.vertices)[:, axis]))
         for part, number in zip(room.model.parts, room.part_elements, strict=True)
-        if number >= 0 and room.elements[number].category == "Wall"
+        if room.elements[number].category == "Wall"
     ]
     height = float(np.median(walls)) if walls else 0.0
     unit = room.model.unit_m
@@ -116,9 +122,6 @@ def _solids(room: RoomModel, change: Array, name: str) -> tuple[list[_PrimMesh],
     own: dict[int, list[trimesh.Trimesh]] = {}
     for part, number in zip(room.model.parts, room.part_elements, strict=True):
         own.setdefault(number, []).append(part)
-    if -1 in own:
-        count = sum(len(part.faces) for part in own[-1])
-        notes.append(f"{name}: {count} faces of prims whose names are no categories: left out")
     solids, skipped = [], 0
     for number, element in enumerate(room.elements):
         # One export may hold the room twice: as boxes and as the scanned surfaces.
@@ -134,6 +137,10 @@ def _solids(room: RoomModel, change: Array, name: str) -> tuple[list[_PrimMesh],
         solids.append(_PrimMesh(element, mesh))
     if skipped:
         notes.append(f"{name}: {MESH}: shows the room of {PARAMETRIC} again: left out")
+    unnamed = [solid.prim.name for solid in solids if not solid.prim.category]
+    if unnamed:
+        more = f" and {len(unnamed) - MAX_NAMED} more" if len(unnamed) > MAX_NAMED else ""
+        notes.append(f"{name}: prims without a category are objects without a label: {', '.join(unnamed[:MAX_NAMED])}{more}")
     return solids, notes
 
 
@@ -173,12 +180,10 @@ def _floor(solid: _PrimMesh, field: str) -> RoomElement:
     vertical = face_normals(vertices, faces)[:, 2]
     level = faces[np.abs(vertical) > _LEVEL]
     ground = shapely.union_all([shapely.Polygon(triangle[:, :2]) for triangle in vertices[level]]) if len(level) else shapely.Polygon()
-    polygons = [
-        piece for piece in shapely.get_parts(ground.buffer(1e-4).buffer(-1e-4)) if piece.geom_type == "Polygon" and not piece.is_empty
-    ]
-    largest = max(polygons, key=lambda piece: float(piece.area), default=None)
-    outline = shapely.get_coordinates(largest.exterior.simplify(1e-3))[:-1] if largest is not None else np.zeros((0, 2))
+    pieces = shapely.get_parts(ground.buffer(1e-4).buffer(-1e-4).simplify(1e-3))
+    outline = shapely.MultiPolygon([piece for piece in pieces if piece.geom_type == "Polygon" and piece.area > MIN_PIECE_M2])
     pose = np.eye(4)
     pose[2, 3] = float(vertices[level, 2].max()) if len(level) else float(vertices[:, 2].max())
-    corners = np.column_stack([outline, np.zeros(len(outline))])
-    return RoomElement(field, "floor", pose, np.zeros(3), corners, "", field)
+    hull = shapely.get_coordinates(outline.convex_hull)[:-1]
+    corners = np.column_stack([hull, np.zeros(len(hull))])
+    return RoomElement(field, "floor", pose, np.zeros(3), corners, "", field, outline=None if outline.is_empty else outline)

@@ -46,8 +46,9 @@ def room_reading(
         InputError: nothing has an area, or the room is larger than a scan.
     """
     holes = [*listed["doors"], *listed["windows"], *listed["openings"]]
-    walls, wall_notes = wall_parts(listed["walls"], holes, name)
-    storeys = storeys_of(listed["walls"], listed["floors"], name)
+    sheets, curves = sheets_of(listed["walls"], name)
+    walls, wall_notes = wall_parts(listed["walls"], sheets, holes, name)
+    storeys = storeys_of(listed["walls"], sheets, listed["floors"], name)
     shell = [("wall", wall.field, part) for wall, part in zip(listed["walls"], walls, strict=True)]
     shell += [("floor", floor.field, floor.part) for floor in storeys.floors]
     parts = [(kind, element.field, panel_part(element)) for kind in ("door", "window") for element in listed[f"{kind}s"]]
@@ -57,7 +58,6 @@ def room_reading(
         for number, (label, field, part) in enumerate([*shell, *parts])
     ]
     whole = assembled(elements, name, "walls", "scan the room again")
-    curves = sheets_of(listed["walls"], name)[1]
     return Reading(
         surface=whole.surface,
         parts=whole.parts,

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.wording import counted
@@ -16,11 +18,19 @@ from tasks.capture.roomplan.elements import RoomElement, elements_of
 SURFACES = ("walls", "doors", "windows", "openings", "floors")
 KINDS = (*SURFACES, "objects")
 
-_READ = frozenset({"identifier", "category", "dimensions", "transform", "polygonCorners", "curve", "story"})
-"""Fields of elements that are used."""
+_COMMON = frozenset({"identifier", "category", "dimensions", "transform", "story"})
+_FILLING = _COMMON | {"polygonCorners", "parentIdentifier"}
+_READ = {
+    "walls": _COMMON | {"polygonCorners", "curve"}, "floors": _COMMON | {"polygonCorners"}, "objects": _COMMON,
+    "doors": _FILLING, "windows": _FILLING, "openings": _FILLING,
+}  # fmt: skip
+"""Fields of elements that are used, by their list."""
 
-_HEAD = frozenset({*KINDS, "sections", "rooms", "identifier", "version", "story"})
-"""Fields of a document that are used, or that name the document."""
+MIN_RECTANGLE_SHARE = 0.98
+"""Share of its rectangle that the outline of a rectangular door has at least."""
+
+_HEAD = frozenset({*KINDS, "sections", "rooms", "identifier", "version"})
+"""Fields of a document or room that are used, or that name it."""
 
 MAX_FIELDS_NAMED = 12
 """Unused fields that a line names."""
@@ -73,7 +83,11 @@ def structure_of(document: dict[str, Any], name: str) -> Structure:
         raise InputError(name, "walls", problem, "is it the JSON of a CapturedRoom? Scan the room's walls, too")
     sections = [entry for part in (document, *rooms) for entry in _entries(part.get("sections"))]
     room_type, more = _room_type(sections, name)
-    return Structure(listed, room_type, (*notes, *wrong, *more, *_unused(document, values, name), *_open_doors(values, name)))
+    return Structure(
+        listed,
+        room_type,
+        (*notes, *wrong, *more, *_unused(document, rooms, values, name), *_open_doors(values, name), *_bent(listed, name)),
+    )
 
 
 def _rooms(document: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
@@ -105,11 +119,16 @@ def _room_type(sections: list[dict[str, Any]], name: str) -> tuple[str, list[str
     return (words[0] if words else ""), []
 
 
-def _unused(document: Mapping[str, Any], values: Mapping[str, list[tuple[str, Any]]], name: str) -> list[str]:
+def _unused(document: Mapping[str, Any], rooms: list[dict[str, Any]], values: Mapping[str, list[tuple[str, Any]]], name: str) -> list[str]:
     """A line with the fields that the file states and that are not used."""
-    fields = {str(key) for key, value in document.items() if key not in _HEAD and value not in (None, [], {}, "")}
+    fields = set[str]()
+    for prefix, part in (("", document), *(("rooms.", room) for room in rooms)):
+        stories = [wall.get("story") for wall in _entries(part.get("walls"))]
+        is_restated = part.get("story") in stories
+        read = _HEAD | {"story"} if is_restated else _HEAD
+        fields.update(f"{prefix}{key}" for key, value in part.items() if key not in read and value not in (None, [], {}, ""))
     for kind, lists in values.items():
-        read = _READ | {"parentIdentifier"} if kind in ("doors", "windows", "openings") else _READ
+        read = _READ[kind]
         for entry in (entry for _, value in lists for entry in _entries(value)):
             fields.update(f"{kind}.{key}" for key, value in entry.items() if key not in read and value not in (None, [], {}, ""))
     if not fields:
@@ -117,6 +136,25 @@ def _unused(document: Mapping[str, Any], values: Mapping[str, list[tuple[str, An
     named = [plain_text(field)[:60] for field in sorted(fields)]
     more = f" and {counted(len(named) - MAX_FIELDS_NAMED, 'more field')}" if len(named) > MAX_FIELDS_NAMED else ""
     return [f"{name}: not used: {', '.join(named[:MAX_FIELDS_NAMED])}{more}"]
+
+
+def _bent(listed: Mapping[str, list[RoomElement]], name: str) -> list[str]:
+    """A line for each list with doors, windows or openings whose outline is not a rectangle."""
+    notes = []
+    for kind in ("doors", "windows", "openings"):
+        fields = [element.field for element in listed[kind] if not _is_rectangle(element)]
+        more = f" and {counted(len(fields) - 1, 'more outline')}" if len(fields) > 1 else ""
+        notes += [f"{name}: {fields[0]}.polygonCorners{more}: not a rectangle: its rectangle is taken"] if fields else []
+    return notes
+
+
+def _is_rectangle(element: RoomElement) -> bool:
+    """True if an element has no outline, or one that fills its rectangle."""
+    if len(element.corners) < 3:
+        return True
+    x, y = element.corners[:, 0], element.corners[:, 1]
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    return area >= MIN_RECTANGLE_SHARE * float(np.ptp(x) * np.ptp(y))
 
 
 def _open_doors(values: Mapping[str, list[tuple[str, Any]]], name: str) -> list[str]:

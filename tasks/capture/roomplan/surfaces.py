@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from schemas.errors import InputError
 from tasks.capture.files.ply import check_vertices
 from tasks.capture.reading import Group
-from tasks.capture.roomplan.curves import Flat, WallSheet, arc_of, unrolled_corners
+from tasks.capture.roomplan.curves import Flat, Neighbors, WallSheet, arc_of, unrolled_corners
 from tasks.capture.roomplan.elements import RoomElement
 from tasks.geometry.meshes import Surface, surface_of
 from tasks.geometry.transforms import inverse, transform_points
@@ -21,6 +22,7 @@ from tasks.geometry.transforms import inverse, transform_points
 if TYPE_CHECKING:
     import shapely
     import trimesh
+    from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 
@@ -87,19 +89,20 @@ def assembled(elements: Sequence[ElementPart], name: str, list_of: str, remedy: 
     return Assembly(surface, parts, tuple(groups), notes)
 
 
-def wall_parts(walls: Sequence[RoomElement], holes: Sequence[RoomElement], name: str) -> tuple[list[trimesh.Trimesh], list[str]]:
+def wall_parts(
+    walls: Sequence[RoomElement], sheets: Sequence[WallSheet], holes: Sequence[RoomElement], name: str
+) -> tuple[list[trimesh.Trimesh], list[str]]:
     """Walls without the doors, windows and openings in them, in their order, in the +Z-up frame [m], and notes on contradictions.
 
     A hole is in the wall that it names. One that names no wall, or a wall that is elsewhere, is in those that it lies in.
 
-    name: The file, for errors and notes.
+    sheets: Of the walls. name: The file, for errors and notes.
 
     Raises:
         InputError: a hole lies in more walls than there are in a place.
     """
     import shapely
 
-    sheets, _ = sheets_of(walls, name)
     notes: list[str] = []
     middles = np.array([transform_points(corners_of(hole), hole.pose).mean(axis=0) for hole in holes]).reshape(-1, 3)
     is_near = np.zeros((len(walls), len(holes)), dtype=bool)
@@ -108,8 +111,12 @@ def wall_parts(walls: Sequence[RoomElement], holes: Sequence[RoomElement], name:
         middle = sheet.unroll(transform_points(middles, inverse(wall.pose)))
         is_along = (middle[:, 0] >= sheet.seams[0]) & (middle[:, 0] <= sheet.seams[-1])
         is_near[row] = (np.abs(middle[:, 2]) < BESIDE_M) & is_along & (np.abs(middle[:, 1]) <= 0.5 * wall.size[1])
-        if wall.identifier:
-            is_parent[row] = [hole.parent == wall.identifier for hole in holes]
+    rows_of: dict[str, list[int]] = {}
+    for row, wall in enumerate(walls):
+        rows_of.setdefault(wall.identifier, []).append(row)
+    for column, hole in enumerate(holes):
+        if hole.parent:
+            is_parent[rows_of.get(hole.parent, []), column] = True
     is_in = is_near.copy()
     for column, hole in enumerate(holes):
         if is_parent[:, column].any() and (is_parent & is_near)[:, column].any():
@@ -135,21 +142,38 @@ def wall_parts(walls: Sequence[RoomElement], holes: Sequence[RoomElement], name:
 
 def sheets_of(walls: Sequence[RoomElement], name: str) -> tuple[list[WallSheet], list[str]]:
     """The surface that each wall lies in, and a note for each that is not flat."""
+    from scipy.spatial import cKDTree
+
     flats = [np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]) * wall.size[0] for wall in walls]
-    ends = [transform_points(line, wall.pose) for line, wall in zip(flats, walls, strict=True)]
+    ends = np.array([transform_points(line, wall.pose) for line, wall in zip(flats, walls, strict=True)]).reshape(-1, 3)
+    tree, total = cKDTree(ends[:, :2]), ends.sum(axis=0)
     sheets: list[WallSheet] = []
     notes = []
     for row, wall in enumerate(walls):
         if wall.curve is None or wall.size[0] <= 0.0:
             sheets.append(Flat(float(wall.size[0])))
             continue
-        other_ends = [line for other, line in enumerate(ends) if other != row]
-        joints = transform_points(np.concatenate(other_ends), inverse(wall.pose))[:, [0, 2]] if other_ends else np.zeros((0, 2))
-        arc, remark = arc_of(wall.curve, float(wall.size[0]), joints)
+        neighbors = None
+        if len(walls) > 1:
+            others = (total - ends[2 * row] - ends[2 * row + 1]) / (len(ends) - 2)
+            middle = transform_points(others[None], inverse(wall.pose))[0, [0, 2]]
+            neighbors = Neighbors(middle, partial(_gaps, tree, row, wall.pose))
+        arc, remark = arc_of(wall.curve, float(wall.size[0]), neighbors)
         sheets.append(arc)
+        pieces = f"{arc.chords} flat pieces, {arc.sagitta:.2f} m off at most"
         field = f"{name}: {wall.field}.curve"
-        notes.append(f"{field}: an arc of {arc.radius:.2f} m radius becomes {arc.chords} flat pieces{f'; {remark}' if remark else ''}")
+        notes.append(f"{field}: an arc of {arc.radius:.2f} m radius becomes {pieces}{f'; {remark}' if remark else ''}")
     return sheets, notes
+
+
+def _gaps(tree: cKDTree, row: int, pose: Array, points: Array) -> Array:
+    """Distances from points of a wall's x-z plane (n, 2) to the nearest end of another wall from above [m], shape (n,).
+
+    tree: ends of all walls from above, two for each. row, pose: of the wall.
+    """
+    placed = transform_points(np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]), pose)[:, :2]
+    distances, numbers = tree.query(placed, k=3)
+    return np.where(numbers // 2 == row, np.inf, distances).min(axis=1)
 
 
 def _sheet_part(shape: Any, sheet: WallSheet, pose: Array) -> trimesh.Trimesh:
@@ -173,12 +197,12 @@ def _sheet_part(shape: Any, sheet: WallSheet, pose: Array) -> trimesh.Trimesh:
 
 def ceiling_part(ceiling: RoomElement) -> trimesh.Trimesh:
     """A ceiling with its outline, of plaster like walls, in the +Z-up frame [m]."""
-    return flat_part(_outline(ceiling), ceiling.pose, GRAY)
+    return flat_part(outline_of(ceiling), ceiling.pose, GRAY)
 
 
 def floor_part(floor: RoomElement) -> trimesh.Trimesh:
     """A floor with its outline, looking up."""
-    part = flat_part(_outline(floor), floor.pose, FLOOR_GRAY)
+    part = flat_part(outline_of(floor), floor.pose, FLOOR_GRAY)
     if floor.pose[2, 2] < 0.0:
         part.invert()
     return part
@@ -210,10 +234,12 @@ def corners_of(element: RoomElement) -> Array:
     return np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
 
 
-def _outline(element: RoomElement) -> Any:
+def outline_of(element: RoomElement) -> Any:
     """An element's outline in the plane that it lies in; outlines that cross themselves are mended."""
     import shapely
 
+    if element.outline is not None:
+        return element.outline
     return shapely.make_valid(shapely.Polygon(corners_of(element)[:, :2]))
 
 

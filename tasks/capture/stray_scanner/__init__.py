@@ -24,7 +24,7 @@ from tasks.capture.files.images import COLOR_SUFFIXES, image_size, read_depth
 from tasks.capture.files.lenses import DEPTH_SCALE, Intrinsics, matrix_intrinsics, of_depth
 from tasks.capture.files.sens import focal_and_center
 from tasks.capture.files.trajectory import Pose
-from tasks.capture.files.unpacked import is_installed, missing, step_of, unpacked
+from tasks.capture.files.unpacked import is_installed, missing, step_of, thinned, unpacked
 from tasks.capture.files.video import CODE
 from tasks.capture.layout import FrameFiles
 from tasks.capture.premises import Premises
@@ -38,6 +38,9 @@ COLOR = ("rgb", "color", "images")
 
 EXTRACT = f"mkdir rgb && ffmpeg -i {VIDEO} -start_number 0 -fps_mode passthrough -qscale:v 2 rgb/%06d.jpg"
 """What makes images of the video, with the numbers of the depth images."""
+
+MAX_FRAMES_PER_DEPTH = 60
+"""Frames of the video per depth image: one a second of a recording at full rate. A higher number is not decoded."""
 
 LEAST_CONFIDENCE = 1
 """Of 0, 1 and 2: what the sensor has no confidence in is no reading."""
@@ -102,14 +105,15 @@ def _video_frames(video: Path | None, folder: Path, depths: dict[int, Path]) -> 
         raise InputError(name, "frames", "is missing, and there are no images", "copy the video, or its frames as images into rgb/")
     if not is_installed("av"):
         raise missing(name, "PyAV", "frames", f"in its folder: {EXTRACT}")
-    step, last = step_of(len(depths)), max(depths)
+    step, highest = step_of(len(depths)), max(depths)
+    last = min(highest, MAX_FRAMES_PER_DEPTH * len(depths))
     recording = unpacked(CODE, video, name, [str(step), str(last)], last + 1)
     count, stated = int(recording.facts.get("count", 0)), int(recording.facts.get("stated", 0))
     colors = {number: path for number in depths if (path := recording.folder / f"{number:06d}.jpg").is_file()}
-    notes = [f"{name}: every {step}. of {count} frames is used"] if step > 1 else []
+    notes = thinned(name, step, count)
     total = stated if stated > 0 else count
-    if total != last + 1:
-        notes.append(f"{name}: has {total} frames, {DEPTH} has numbers up to {last}: frames are paired by number")
+    if total != highest + 1:
+        notes.append(f"{name}: has {total} frames, {DEPTH} has numbers up to {highest}: frames are paired by number")
     return colors, (int(recording.facts.get("width", 0)) or 1, int(recording.facts.get("height", 0)) or 1), notes
 
 

@@ -18,7 +18,7 @@ from tasks.library.usd.rooms import RoomPrim
 
 @dataclasses.dataclass(frozen=True)
 class RoomModel:
-    """A USD file, and the elements if it is a captured room. part_elements: of each part, -1 for none; empty for other files."""
+    """A USD file, and the elements if it is a captured room. part_elements: of each part; empty for other files."""
 
     model: ReadModel
     elements: tuple[RoomPrim, ...] = ()

@@ -27,7 +27,7 @@ MAX_ELEMENTS = 10_000
 
 @dataclasses.dataclass(frozen=True)
 class RoomPrim:
-    """An element of a captured room. path: its prim. name: of the prim. category: in RoomPlan's spelling.
+    """An element of a captured room. path: its prim. name: of the prim. category: in RoomPlan's spelling, '' for a prim without any.
 
     remark: a contradiction between name and `customData`, '' without any.
     """
@@ -38,8 +38,9 @@ class RoomPrim:
     remark: str = ""
 
 
-def room_prim(prim: Any) -> RoomPrim | None:
-    """The element that a prim belongs to: the nearest prim above it, or itself, with a category."""
+def room_prim(drawn: Any) -> RoomPrim:
+    """The element that a drawn prim belongs to: the nearest prim above it, or itself, with a category; otherwise itself."""
+    prim = drawn
     while prim and not prim.IsPseudoRoot():
         name = prim.GetName()
         match = _NAMED.fullmatch(name)
@@ -53,12 +54,16 @@ def room_prim(prim: Any) -> RoomPrim | None:
             remark = f"{name}: customData calls it {by_data}, which counts" if differs else ""
             return RoomPrim(str(prim.GetPath()), name, by_data or by_name, remark)
         prim = prim.GetParent()
-    return None
+    return RoomPrim(str(drawn.GetPath()), drawn.GetName(), "")
 
 
-def is_room(elements: list[RoomPrim], unnamed: int) -> bool:
-    """True if the prims of a file are those of a captured room: there are walls, and most prims have a category.
+def is_room(elements: list[RoomPrim]) -> bool:
+    """True if the prims of a file are those of a captured room, with walls.
 
-    unnamed: drawn prims without a category.
+    Other files have names such as `Wall_001`, too. All prims of a room have a category, or most do and RoomPlan's groups are there.
     """
-    return len(elements) <= MAX_ELEMENTS and any(element.category == "Wall" for element in elements) and unnamed <= len(elements)
+    if len(elements) > MAX_ELEMENTS or not any(element.category == "Wall" for element in elements):
+        return False
+    named = [element for element in elements if element.category]
+    has_groups = any({PARAMETRIC, MESH} & set(element.path.split("/")) for element in named)
+    return len(named) == len(elements) or (has_groups and 2 * len(named) >= len(elements))

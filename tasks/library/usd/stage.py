@@ -55,7 +55,7 @@ class Flattened:
         self._places = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         self.elements: list[RoomPrim] = []
         self.part_elements: list[int] = []
-        self._rooms, self._numbers, self._unnamed = rooms, dict[str, int](), set[str]()
+        self._rooms, self._numbers = rooms, dict[str, int]()
         self._plain: dict[int, list[tuple[Array, Integers, NDArray[np.uint8]]]] = {}
         self._textured: dict[tuple[int, Path, tuple[float, ...], bool], list[tuple[Array, Integers, Array]]] = {}
         self._faces = self._prims = self._see_through = 0
@@ -66,13 +66,13 @@ class Flattened:
         self._add(stage.GetPseudoRoot(), np.eye(4)[None], np.eye(4))
         if self._see_through:
             self.notes.append(f"meshes that let light through are read as solid: {self._see_through}")
-        if rooms and not is_room(self.elements, len(self._unnamed)):
+        if rooms and not is_room(self.elements):
             self._forget_elements()
 
     def parts(self) -> list[trimesh.Trimesh]:
         """One part of all that has colors alone, and one for every texture; of a captured room, those of each element.
 
-        `part_elements` then names the element of each part, -1 for none.
+        `part_elements` then names the element of each part, -1 in other files.
 
         Raises:
             InputError: nothing is drawn, or textures are larger than the budget or cannot be decoded.
@@ -127,11 +127,8 @@ class Flattened:
                 self._place(group, here, placed, element)
 
     def _element(self, prim: Any) -> int:
-        """Number of the element that a prim belongs to, -1 for none."""
+        """Number of the element that a prim belongs to."""
         element = room_prim(prim)
-        if element is None:
-            self._unnamed.add(str(prim.GetPath()))
-            return -1
         if element.path not in self._numbers:
             self._numbers[element.path] = len(self.elements)
             self.elements.append(element)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,9 @@ import pytest
 
 from schemas.errors import InputError
 from tasks.capture.formats import find_scans, format_of, scan_files
+from tasks.capture.record3d import read_record3d
+from tasks.capture.record3d.archive import unpack
+from tasks.capture.scan import Scan
 from tasks.capture.wholeness import find_gap
 from tests.tasks.capture.formats.phones import pack_record3d, write_record3d, zip_record3d
 from tests.tasks.capture.formats.written import assert_same_frames, only_scan, read, sample
@@ -72,6 +76,57 @@ def test_an_archive_is_a_scan(below: str, tmp_path: Path) -> None:
         assert_same_frames(format_of(scan).read(scan).frames, sample().frames, is_lossy=True)
         assert [path.name for path in scan_files(scan)] == [scan.path.name]
     assert [scan.scene_id for scan in find_scans(tmp_path / "scans" / "b.r3d")[0]] == ["record3d/b"]
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("name", ["facts.json.r3d", "files.r3d", "rgbd.r3d"])
+def test_an_archive_may_have_any_name(name: str, tmp_path: Path) -> None:
+    write_sample(tmp_path / "made")
+    (tmp_path / "scans").mkdir()
+    zip_record3d(tmp_path / "made", tmp_path / "scans" / name)
+    assert_same_frames(read(tmp_path / "scans").frames, sample().frames, is_lossy=True)
+
+
+def test_an_archive_of_dots_is_read_from_its_own_folder(tmp_path: Path) -> None:
+    path = tmp_path / "scans" / "...r3d"
+    write_sample(tmp_path / "made")
+    path.parent.mkdir()
+    zip_record3d(tmp_path / "made", path)
+    scan = Scan("record3d", path, "record3d", "dots")
+    assert_same_frames(read_record3d(scan).frames, sample().frames, is_lossy=True)
+
+
+def test_the_directory_of_an_archive_is_read_by_the_child_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A directory of many small entries takes more memory than the file."""
+    write_sample(tmp_path / "made")
+    zip_record3d(tmp_path / "made", tmp_path / "a.r3d")
+
+    def refused(*arguments: object) -> None:
+        raise AssertionError("the archive is opened in this process")
+
+    monkeypatch.setattr("zipfile.ZipFile", refused)
+    scan = Scan("record3d", tmp_path / "a.r3d", "record3d", "a")
+    assert_same_frames(read_record3d(scan).frames, sample().frames, is_lossy=True)
+
+
+def test_of_many_frames_some_are_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames are counted, whatever their numbers are."""
+    monkeypatch.setattr("tasks.capture.files.unpacked.MAX_FRAMES", 2)
+    with zipfile.ZipFile(tmp_path / "a.r3d", "w") as archive:
+        for number in range(0, 30, 6):
+            archive.writestr(f"rgbd/{number}.jpg", b"image")
+            archive.writestr(f"rgbd/{number}.depth", b"depth")
+    assert unpack(tmp_path / "a.r3d", tmp_path / "out") == {"frames": 5, "step": 3}
+    files = sorted(path.name for path in (tmp_path / "out" / "rgbd").iterdir())
+    assert files == ["0.depth", "0.jpg", "18.depth", "18.jpg"]
+
+
+def test_an_archive_of_too_many_files_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tasks.capture.record3d.archive.MAX_ENTRIES", 3)
+    write_sample(tmp_path / "made")
+    zip_record3d(tmp_path / "made", tmp_path / "a.r3d")
+    with pytest.raises(InputError, match=r"has 10 files \(limit 3\)"):
+        unpack(tmp_path / "a.r3d", tmp_path / "out")
 
 
 def test_a_mesh_next_to_a_recording_is_a_scan_of_its_own(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +85,7 @@ def test_of_a_long_video_every_so_many_frames_are_used(tmp_path: Path, monkeypat
     monkeypatch.setattr("tasks.capture.files.unpacked.MAX_FRAMES", 2)
     reading = read(tmp_path)
     assert [frame.color_file for frame in reading.frames] == ["rgb.mp4#0", "rgb.mp4#2"]
-    assert any("every 2. of 3 frames is used" in note for note in reading.degradations)
+    assert any("1 of every 2 frames is used, of 3 in all" in note for note in reading.degradations)
 
 
 @pytest.mark.whole
@@ -94,6 +95,22 @@ def test_a_broken_video_is_refused(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "a" / "rgb.mp4").write_bytes(content)
     with pytest.raises(InputError, match=r"^a/rgb.mp4: (content|streams): "):
         read(tmp_path)
+
+
+def test_a_high_number_does_not_raise_the_computing_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A depth image is worth a second of video: its number may be wrong."""
+    write_recording(tmp_path / "a")
+    shutil.copy(tmp_path / "a" / "depth" / "000002.png", tmp_path / "a" / "depth" / "999999999.png")
+    asked: list[int] = []
+
+    def refused(code: str, path: Path, name: str, arguments: list[str], frames: int) -> None:
+        asked.extend([int(arguments[1]), frames])
+        raise InputError(name, "content", "is not decoded here", "none")
+
+    monkeypatch.setattr("tasks.capture.stray_scanner.unpacked", refused)
+    with pytest.raises(InputError, match="is not decoded here"):
+        read(tmp_path)
+    assert max(asked) <= 4 * 60 + 1
 
 
 def test_intrinsics_of_each_frame_and_smaller_images_are_known(tmp_path: Path) -> None:

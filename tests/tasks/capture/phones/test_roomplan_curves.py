@@ -10,7 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tasks.capture.roomplan.curves import MAX_SAGITTA_M, Arc, Curve, arc_of
+from tasks.capture.roomplan.curves import MAX_RADIUS_M, MAX_SAGITTA_M, Arc, Curve, arc_of
+from tasks.capture.roomplan.elements import RoomElement
+from tasks.capture.roomplan.surfaces import sheets_of
+from tasks.geometry.transforms import transform_points
 from tasks.geometry.triangles import face_areas
 from tests.tasks.capture.formats.written import read
 from tests.tasks.capture.phones.captured_rooms import (
@@ -106,8 +109,32 @@ def test_unrolling_undoes_rolling(radius: float, sweep: float, side: float) -> N
     rolled = shape.roll(np.column_stack([along, np.ones(50), np.zeros(50)]))
     back = shape.unroll(rolled)
     np.testing.assert_allclose(back[:, 0], along, atol=max(0.02, 0.01 * shape.length))
-    is_fine = shape.chords < 64
-    assert not is_fine or np.abs(back[:, 2]).max() <= MAX_SAGITTA_M + 1e-9
+    assert np.abs(back[:, 2]).max() <= shape.sagitta + 1e-9 <= MAX_SAGITTA_M + 2e-9
+
+
+@pytest.mark.parametrize("radius", [50.0, MAX_RADIUS_M])
+def test_chords_of_the_largest_walls_are_within_the_sagitta(radius: float) -> None:
+    for sweep in (np.pi, 2 * np.pi):
+        assert Arc(np.zeros(2), radius, 0.0, sweep).sagitta <= MAX_SAGITTA_M + 1e-9
+
+
+def test_ends_of_walls_are_looked_up_and_not_compared_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of many curved walls that end elsewhere than stated, each transforms a few points, however many walls there are."""
+    counts = []
+    for walls_in_all in (10, 100):
+        moved: list[int] = []
+
+        def transformed(points: Any, pose: Any, moved: list[int] = moved) -> Any:
+            moved.append(len(points))
+            return transform_points(points, pose)
+
+        monkeypatch.setattr("tasks.capture.roomplan.surfaces.transform_points", transformed)
+        curve = Curve(np.array([0.0, -4.0]), RADIUS, ((0.6, 2.5),))
+        poses = [placed(4.0 * k) for k in range(walls_in_all)]
+        elements = [RoomElement("", "wall", pose, np.array([4.0, 2.5, 0.0]), np.zeros((0, 3)), "", "walls[0]", curve) for pose in poses]
+        sheets_of(elements, "room")
+        counts.append(sum(moved))
+    assert counts[1] == 10 * counts[0]
 
 
 @settings(deadline=None, max_examples=80)
@@ -119,7 +146,7 @@ def test_an_arc_that_fits_its_wall_is_found(radius: float, sweep: float, side: f
     middle = side * np.pi / 2
     angles = (middle - sweep / 2, middle + sweep / 2)
     stated = (-angles[1], -angles[0]) if is_clockwise else angles
-    found, remark = arc_of(Curve(center, radius, (stated,)), width, np.zeros((0, 2)))
+    found, remark = arc_of(Curve(center, radius, (stated,)), width, None)
     assert remark == ""
     np.testing.assert_allclose(found.ends, [[-width / 2, 0], [width / 2, 0]], atol=0.05 * width + 0.05)
     assert found.center.tolist() == center.tolist()

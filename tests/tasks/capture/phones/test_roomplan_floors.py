@@ -117,8 +117,53 @@ def test_a_floor_between_walls_that_leave_corners_out(tmp_path: Path) -> None:
 
 
 def test_walls_that_do_not_meet_enclose_their_hull() -> None:
-    ground, is_closed = ground_within([np.array([[0, 0], [4, 0.0]]), np.array([[4, 3], [0, 3.0]])])
-    assert (ground.area, is_closed) == (pytest.approx(12.0), False)
+    ground = ground_within([np.array([[0, 0], [4, 0.0]]), np.array([[4, 3], [0, 3.0]])])
+    assert (ground.area, ground.is_closed) == (pytest.approx(12.0), False)
+
+
+def ring(x: float, y: float, width: float, depth: float, gap: float = 0.0) -> list[Array]:
+    """Walls of a room from above; the first has a gap in its middle."""
+    corners = [(x, y), (x + width, y), (x + width, y + depth), (x, y + depth)]
+    lines = [np.array([a, b], dtype=np.float64) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+    if gap:
+        middle = x + 0.5 * width
+        lines[:1] = [np.array([[x, y], [middle - gap / 2, y]]), np.array([[middle + gap / 2, y], [x + width, y]])]
+    return lines
+
+
+@pytest.mark.parametrize("place", [(2.0, 2.0), (0.0, 1.0), (4.2, 3.2)])
+@pytest.mark.parametrize("gap", [0.0, 0.9, 2.5])
+def test_a_column_is_not_the_ground_of_a_room_with_a_gap(gap: float, place: tuple[float, float]) -> None:
+    """A boxed column within the room or at its walls changes nothing."""
+    ground = ground_within([*ring(0, 0, 5, 4, gap), *ring(*place, 0.8, 0.8)])
+    assert ground.area == pytest.approx(20.0, rel=1e-3)
+    assert ground.is_closed == (gap == 0.0)
+
+
+def test_a_column_is_not_the_ground_between_walls_that_stand_alone() -> None:
+    walls_alone = [np.array(line, dtype=np.float64) for line in ([[2.5, 0], [7.5, 0]], [[10, 2.5], [10, 7.5]], [[2.5, 10], [7.5, 10]])]
+    ground = ground_within([*walls_alone, *ring(5, 5, 0.8, 0.8)])
+    assert ground.area == pytest.approx(68.75, abs=1.0)
+    assert not ground.is_closed
+
+
+@pytest.mark.parametrize("gap", [0.9, 2.5])
+def test_an_open_room_next_to_a_closed_one_has_ground(gap: float) -> None:
+    walls_of_both = [*ring(0, 0, 4, 3), *ring(4.1, 0, 5, 3, gap)]
+    ground = ground_within(walls_of_both)
+    assert ground.area == pytest.approx(12.0 + 15.0, abs=0.5)
+    assert not ground.is_closed
+    assert not ground_within(walls_of_both[:-1]).area < 26.5, "the shared wall is that of the closed room"
+
+
+def test_open_rooms_far_from_each_other_have_ground_each() -> None:
+    ground = ground_within([*ring(0, 0, 4, 3, 0.9), *ring(20, 0, 4, 3, 0.9)])
+    assert (ground.area, ground.hull_m2) == (pytest.approx(24.0), pytest.approx(72.0))
+
+
+def test_much_less_ground_than_the_hull_of_all_walls_is_named(tmp_path: Path) -> None:
+    write(tmp_path / "home", captured(walls=[*walls(), *walls(x=20.0)], floors=[]))
+    assert any("24.0 m2 are taken, the convex hull of all walls has 72.0 m2" in note for note in read(tmp_path).degradations)
 
 
 @settings(deadline=None, max_examples=60)
@@ -134,8 +179,8 @@ def test_walls_enclose_their_ground_with_small_gaps(yaw: float, width: float, de
     for k in range(partitions):
         x = width * (k + 1) / 3
         lines.append(np.array([[x, 0.0], [x, depth]]) @ turn.T)
-    ground, is_closed = ground_within(lines)
-    assert is_closed
+    ground = ground_within(lines)
+    assert ground.is_closed
     assert ground.area == pytest.approx(width * depth, abs=4 * gap * (width + depth) + 1e-3)
 
 

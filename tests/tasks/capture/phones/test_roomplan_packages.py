@@ -128,12 +128,12 @@ def test_custom_data_counts_and_contradictions_are_named(tmp_path: Path) -> None
 
 @pytest.mark.whole
 def test_a_prim_without_a_category_is_named(tmp_path: Path) -> None:
-    """A few faces without a name are left out; a file of which most have none is a bare mesh."""
+    """A few prims without a name are objects without a label; a file of which most have none is a bare mesh."""
     boxes = [*furnished_room(), Box("Blob0", (0, 2.0, 0), (0.2, 0.2, 0.2), category=" ")]
     write_package(tmp_path / "Room.usdz", boxes)
     reading = read(tmp_path)
-    assert labels_of(reading) == LABELS
-    assert any("12 faces of prims whose names are no categories" in note for note in reading.degradations)
+    assert labels_of(reading) == sorted([*LABELS, "object"])
+    assert any("prims without a category are objects without a label: Blob0" in note for note in reading.degradations)
     others = [dataclasses.replace(box, name=f"Mesh{k}", category=" ") for k, box in enumerate(furnished_room()) if box.word != "Wall"]
     write_package(tmp_path / "other" / "Room.usdz", [furnished_room()[0], *others])
     assert read(tmp_path / "other").groups is None
@@ -146,6 +146,30 @@ def test_a_wall_with_a_hole_stays_as_it_is(tmp_path: Path) -> None:
     more += "int[] faceVertexCounts = [4]\nint[] faceVertexIndices = [0, 1, 2, 3]\n}\n"
     write_package(tmp_path / "Room.usdz", furnished_room(), more=more)
     assert areas_of(read(tmp_path), "wall")[0] == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.whole
+def test_an_ordinary_model_with_names_of_categories_is_a_mesh(tmp_path: Path) -> None:
+    """Other programs number walls and chairs, too: without RoomPlan's groups, nothing that lacks a category is lost."""
+    more = [Box(f"{word}_001", (k - 1.0, 0.4, 0.5), (0.3, 0.8, 0.3), category=" ") for k, word in enumerate(("Plant", "Lamp", "Rug"))]
+    boxes = [*furnished_room(), *more]
+    write_package(tmp_path / "Room.usdz", boxes, is_flat=True)
+    reading = read(tmp_path)
+    assert reading.groups is None
+    assert reading.surface is not None
+    assert len(reading.surface.faces) == 12 * len(boxes)
+
+
+@pytest.mark.whole
+def test_a_floor_keeps_its_pieces_and_holes(tmp_path: Path) -> None:
+    """Two pieces of 12 and 3 m2, the larger one with a hole of 1 m2."""
+    squares = [(-2, -1.5, 2, -0.5), (-2, 0.5, 2, 1.5), (-2, -0.5, -0.5, 0.5), (0.5, -0.5, 2, 0.5), (3, -1.5, 4, 1.5)]
+    corners = [(x, 0, z) for x0, z0, x1, z1 in squares for x, z in ((x0, z0), (x1, z0), (x1, z1), (x0, z1))]
+    more = f'\ndef Mesh "Floor0"\n{{\npoint3f[] points = {corners}\n'
+    more += f"int[] faceVertexCounts = {[4] * len(squares)}\nint[] faceVertexIndices = {list(range(len(corners)))}\n}}\n"
+    write_package(tmp_path / "Room.usdz", [box for box in furnished_room() if box.word != "Floor"], more=more)
+    reading = read(tmp_path)
+    assert areas_of(reading, "floor") == pytest.approx([12.0 - 1.0 + 3.0], abs=0.01)
 
 
 @pytest.mark.whole

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from schemas.errors import InputError
@@ -121,6 +122,60 @@ def test_storeys_without_numbers_go_by_height(tmp_path: Path) -> None:
     reading = read(tmp_path)
     assert reading.levels is not None
     assert reading.levels.floors == pytest.approx((0.0, 2.8))
+
+
+@pytest.mark.parametrize("lost", [0, 5, 7])
+def test_a_wall_without_a_story_costs_no_other_its_own(lost: int, tmp_path: Path) -> None:
+    """Storeys of walls that start at one height are told by their numbers alone."""
+    listed = [*walls(), *walls(1.6, 1)]
+    listed[lost] = listed[lost] | {"story": None}
+    write(tmp_path / "home", captured(walls=listed, floors=[floor_lying(), floor_lying(1.6, story=1)]))
+    reading = read(tmp_path)
+    assert reading.levels is not None
+    assert reading.levels.floors == pytest.approx((0.0, 1.6))
+    assert any("walls: 1 of 8 state no story: their lower edges decide" in note for note in reading.degradations)
+
+
+def test_partial_numbers_of_small_rises_contradict_heights(tmp_path: Path) -> None:
+    listed = [*walls(), *walls(1.2, 1)]
+    listed[7] = listed[7] | {"story": None}
+    notes = notes_of(tmp_path, walls=listed)
+    assert "storey 0 at 0.00 m, storey 1 at 1.20 m: numbers and heights disagree" in notes
+
+
+def test_a_rise_without_any_number_is_named(tmp_path: Path) -> None:
+    notes = notes_of(tmp_path, walls=[wall | {"story": None} for wall in [*walls(), *walls(1.2)]])
+    assert "lower edges rise by 1.20 m without a story: read as one storey" in notes
+
+
+@pytest.mark.parametrize(("stated", "floors"), [(1, (0.0, 2.8, 5.6)), (0, (0.0, 2.8, 5.6)), (2, (0.0, 2.8, 5.6))])
+def test_walls_far_from_all_stated_ones_are_storeys_of_their_own(stated: int, floors: tuple[float, ...], tmp_path: Path) -> None:
+    levels = [[wall | {"story": 3 if k == stated else None} for wall in walls(2.8 * k)] for k in range(3)]
+    write(tmp_path / "home", captured(walls=[wall for level in levels for wall in level], floors=[]))
+    reading = read(tmp_path)
+    assert reading.levels is not None
+    assert reading.levels.floors == pytest.approx(floors)
+
+
+def test_fields_of_rooms_are_listed(tmp_path: Path) -> None:
+    document = house()
+    document["rooms"][0] |= {"ceilingHeight": 2.5}
+    document["rooms"][1] |= {"story": 7}
+    write(tmp_path / "home", document, "CapturedStructure.json")
+    (line,) = (note for note in read(tmp_path).degradations if "not used: " in note)
+    assert "rooms.ceilingHeight, rooms.story" in line
+
+
+@pytest.mark.parametrize("kind", ["door", "window"])
+def test_a_door_that_is_not_a_rectangle_is_named(kind: str, tmp_path: Path) -> None:
+    angles = np.linspace(0, np.pi, 9)
+    arch = [[-0.45, -1, 0], [0.45, -1, 0], *([0.45 * np.cos(a), 0.55 + 0.45 * np.sin(a), 0] for a in angles)]
+    arched = surface(kind, placed(0, 1.0, -1.5), [0.9, 2.0, 0], polygonCorners=arch)
+    assert f"{kind}s[0].polygonCorners: not a rectangle: its rectangle is taken" in notes_of(tmp_path / "a", **{f"{kind}s": [arched]})
+    square = surface(kind, placed(0, 1.0, -1.5), [0.9, 2.0, 0], polygonCorners=[[-0.45, -1, 0], [0.45, -1, 0], [0.45, 1, 0], [-0.45, 1, 0]])
+    assert "polygonCorners" not in notes_of(tmp_path / "b", **{f"{kind}s": [square]})
+    curved = surface(kind, placed(0, 1.0, -1.5), [0.9, 2.0, 0], curve={"radius": 2.0})
+    assert f"{kind}s.curve" in notes_of(tmp_path / "c", **{f"{kind}s": [curved]})
 
 
 def test_numbers_that_contradict_heights_are_named(tmp_path: Path) -> None:
