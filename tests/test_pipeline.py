@@ -195,6 +195,7 @@ def test_a_failing_scene_stops_no_other_and_is_not_computed_again(home: dict[str
     ply.write_bytes(ply.read_bytes()[:-1000])
     write_scan(mixed, "scene0003_00", size=(4.9, 3.2, 2.5), objects=OBJECT)
     (mixed / "scene0004_00").mkdir()
+    (mixed / "scene0004_00" / "scene0004_00.aggregation.json").write_text("{}")
     done = run(home, mixed, copy, "--workers", 2)
     assert done.returncode == 1
     failed = [line for line in done.stderr.splitlines() if line.startswith("failed: ")]

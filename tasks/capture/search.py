@@ -100,7 +100,9 @@ def unreadable(folder: Path, error: OSError) -> UnusableScan:
 
 def _of_file(path: Path, wanted: Search) -> Found:
     for format in wanted.wanted:
-        for inside, name in format.within(path.parent) if format.within is not None else ():
+        # A listing of one object has no folder above it.
+        inner = format.within(path.parent) if format.within is not None and path.parent.is_dir() else ()
+        for inside, name in inner:
             if inside == path:
                 return [wanted.scan(format, path, name)], []
     own = wanted.format_of(path)

@@ -61,7 +61,7 @@ Y_UP = Stated(1.0, "y", "glTF", is_turned=True)
 
 
 @dataclasses.dataclass(frozen=True)
-class Unit:
+class MeshUnit:
     """Meters per unit of a file, and a line on how it was found, empty if the file states it."""
 
     meters: float
@@ -69,7 +69,7 @@ class Unit:
 
 
 def bare_reading(
-    parts: Sequence[trimesh.Trimesh], stated: Stated, notes: Sequence[str], license: str | None, name: str, unit: Unit | None = None
+    parts: Sequence[trimesh.Trimesh], stated: Stated, notes: Sequence[str], license: str | None, name: str, unit: MeshUnit | None = None
 ) -> Reading:
     """What is read of parts of a mesh whose instances are to be found in its geometry, +Z up [m]. name: The file.
 
@@ -153,7 +153,7 @@ def _one_sided(surface: Surface, axis: int) -> float:
     return abs(up - down) / (up + down) if up + down > LEAST * float(areas.sum()) else 0.0
 
 
-def unit_of(extents: Array, stated: float | None) -> Unit:
+def unit_of(extents: Array, stated: float | None) -> MeshUnit:
     """The unit of a room: the stated one, or meters, unless its size is plausible in another unit only.
 
     extents: of the room with +Z up, shape (3,). stated: meters per unit by the file, None without any.
@@ -165,13 +165,13 @@ def unit_of(extents: Array, stated: float | None) -> Unit:
 
     first = stated if stated is not None else 1.0
     if is_plausible(first):
-        return Unit(first, "" if stated is not None else "is taken to be in metres, which it does not say")
+        return MeshUnit(first, "" if stated is not None else "is taken to be in metres, which it does not say")
     plausible = [(word, unit) for word, unit in UNITS if is_plausible(unit)]
     if not plausible:
-        return Unit(first, "")  # what is wrong with it is said where its size is checked
+        return MeshUnit(first, "")  # what is wrong with it is said where its size is checked
     word, unit = min(plausible, key=lambda entry: abs(np.log(height * entry[1] / STOREY_M)))
     stating = "the unit that it states" if stated is not None else "metres"
-    return Unit(unit, f"is read as {word}: in {stating} it would be {height * first:.3g} m high")
+    return MeshUnit(unit, f"is read as {word}: in {stating} it would be {height * first:.3g} m high")
 
 
 def _has_looks(parts: Sequence[trimesh.Trimesh]) -> bool:

@@ -72,9 +72,9 @@ def oriented_normals(points: Points, tree: cKDTree, side: float, unit_m: float) 
     sensed = values * _signs(values, toward)[:, None]
     if is_placed.all():
         return Normals(sensed, "normals point to the sensors, which the file states")
-    others = _without_sensors(points, near, values, side, unit_m)
-    note = f"normals point to the sensors, which the file states for {is_placed.mean():.1%} of points; of the others, {others.note}"
-    return Normals(np.where(is_placed[:, None], sensed, others.values), note)
+    unplaced = _without_sensors(points, near, values, side, unit_m)
+    note = f"normals point to the sensors, which the file states for {is_placed.mean():.1%} of points; of the others, {unplaced.note}"
+    return Normals(np.where(is_placed[:, None], sensed, unplaced.values), note)
 
 
 def _without_sensors(points: Points, near: Neighbors, values: Array, side: float, unit_m: float) -> Normals:

@@ -56,5 +56,5 @@ def read_ply_points(path: Path, name: str) -> Points:
             columns = {field[0]: PlyColumn(table.values[:, i], field[1]) for i, field in enumerate(vertex.fields)}
     except (ValueError, OverflowError) as error:
         raise InputError(name, "content", f"is cut or broken ({str(error)[:120]})", AGAIN) from error
-    others = [f"element {element.name}" for element in elements if element is not vertex and element.count]
-    return points_of_columns(columns, name, [f"{name}: {', '.join(others)}: not used"] if others else ())
+    further_elements = [f"element {element.name}" for element in elements if element is not vertex and element.count]
+    return points_of_columns(columns, name, [f"{name}: {', '.join(further_elements)}: not used"] if further_elements else ())

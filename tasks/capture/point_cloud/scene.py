@@ -58,8 +58,8 @@ def cloud_reading(points: Points, stated: Stated, name: str, license: str | None
         raise InputError(name, "points", f"are {len(points.positions)}, a surface needs {MIN_POINTS}", "is it a scan of a room?")
     # Found once, before the surface: its voxels and its size then have the same unit.
     extents = extents_of(points.positions)
-    found = unit_of(extents if stated.up == "z" else extents[[0, 2, 1]], stated.unit_m)
-    unit = found.meters
+    mesh_unit = unit_of(extents if stated.up == "z" else extents[[0, 2, 1]], stated.unit_m)
+    unit = mesh_unit.meters
     low = points.positions.min(axis=0)
     check_vertices((points.positions - low) * unit, name)
     survey_shift(points.positions * unit, name)  # refuses coordinates that were stored too coarsely
@@ -69,7 +69,7 @@ def cloud_reading(points: Points, stated: Stated, name: str, license: str | None
     if points.colors is None:
         lines.append(f"{name}: has no colors: drawn in gray")
     lines += [f"{name}: {note}" for note in cloud.notes]
-    reading = bare_reading([surface.to_trimesh()], stated, lines, license, name, found)
+    reading = bare_reading([surface.to_trimesh()], stated, lines, license, name, mesh_unit)
     if cloud.points.objects is None or reading.surface is None:
         return reading
     # The reading welds, turns and moves vertices: each gets the object of the place that it came from.
@@ -157,8 +157,8 @@ def groups_of_points(
 
 def _lost(objects: LabelledPoints, groups: Sequence[Group], name: str) -> list[str]:
     """A line on the objects without a vertex of the surface."""
-    found = {group.source_id for group in groups}
-    ids = [id for id, _ in objects.named if id not in found]
+    with_surface = {group.source_id for group in groups}
+    ids = [id for id, _ in objects.named if id not in with_surface]
     if not ids:
         return []
     more = f" and {len(ids) - MAX_LISTED_IDS} others" if len(ids) > MAX_LISTED_IDS else ""

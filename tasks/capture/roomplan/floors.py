@@ -64,7 +64,7 @@ class Storeys:
 
 
 @dataclasses.dataclass(frozen=True)
-class Ground:
+class StoreyGround:
     """Ground within walls, from above [m]. is_closed: true if walls enclose all of the shape. hull_m2: Area of the walls' convex hull."""
 
     shape: shapely.Geometry
@@ -116,7 +116,7 @@ def floor_within(walls: Sequence[RoomElement], sheets: Sequence[WallSheet]) -> t
     return flat_part(ground_within(lines).shape, _at_height(min(float(line[:, 2].min()) for line in lines)), FLOOR_GRAY)
 
 
-def ground_within(lines: Sequence[Array]) -> Ground:
+def ground_within(lines: Sequence[Array]) -> StoreyGround:
     """The ground that walls enclose. Walls that enclose nothing have the convex hull of those near to each other.
 
     lines: each wall from above [m], shapes (n, 2) or (n, 3).
@@ -144,8 +144,8 @@ def ground_within(lines: Sequence[Array]) -> Ground:
     if ground.area < MIN_COVER * common.area:
         ground = shapely.union_all([ground, common])
     if ground.area <= closed.area * (1.0 + 1e-3) + 1e-6:
-        return Ground(hull, False, hull.area) if closed.is_empty else Ground(closed, True, hull.area)
-    return Ground(ground, False, hull.area)
+        return StoreyGround(hull, False, hull.area) if closed.is_empty else StoreyGround(closed, True, hull.area)
+    return StoreyGround(ground, False, hull.area)
 
 
 def _is_floor(floor: RoomElement, name: str, notes: list[str]) -> bool:

@@ -155,8 +155,8 @@ def sheets_of(walls: Sequence[RoomElement], name: str) -> tuple[list[WallSheet],
             continue
         neighbors = None
         if len(walls) > 1:
-            others = (total - ends[2 * row] - ends[2 * row + 1]) / (len(ends) - 2)
-            middle = transform_points(others[None], inverse(wall.pose))[0, [0, 2]]
+            center = (total - ends[2 * row] - ends[2 * row + 1]) / (len(ends) - 2)
+            middle = transform_points(center[None], inverse(wall.pose))[0, [0, 2]]
             neighbors = Neighbors(middle, partial(_gaps, tree, row, wall.pose))
         arc, remark = arc_of(wall.curve, float(wall.size[0]), neighbors)
         sheets.append(arc)
