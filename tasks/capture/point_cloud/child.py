@@ -139,8 +139,8 @@ def _object_columns(form: Any) -> dict[str, str]:
     for word in form.extra_dimension_names:
         if form.dimension_by_name(word).num_elements == 1:
             extra.setdefault(word.lower(), word)
-    found = {"instance": INSTANCE_NAMES, "label": LABEL_NAMES}
-    columns = {key: extra[word] for key, words in found.items() if (word := next((w for w in words if w in extra), None)) is not None}
+    words_of = {"instance": INSTANCE_NAMES, "label": LABEL_NAMES}
+    columns = {key: extra[word] for key, words in words_of.items() if (word := next((w for w in words if w in extra), None)) is not None}
     return columns if "instance" in columns else {}
 
 
