@@ -329,6 +329,9 @@ def test_a_real_server_keeps_nothing_of_the_scene(own_machine: Path, is_running:
             # The server records task runs from events, which arrive after the flow ended.
             while connection.execute("SELECT count(*) FROM task_run WHERE state_type = 'COMPLETED'").fetchone() != (2,):
                 assert process.poll() is None
+            # It writes events in batches of its own.
+            while connection.execute("SELECT count(*) FROM events WHERE resource LIKE '%scene0001%'").fetchone() == (0,):
+                assert process.poll() is None
         if not is_running:
             process.communicate("\n")
         places = {hit.place for hit in search_prefect(TRACES).hits}
