@@ -27,7 +27,7 @@ class Confined:
 
 
 def confined(task: str, path: Path, root: Path, name: str) -> Confined:
-    """What a child makes of a file below `root`. task: `read`, `room` (read with the elements of a captured room) or `list`.
+    """The answer of a child about a file below `root`. task: `read`, `room` (read with the elements of a captured room) or `list`.
 
     Raises:
         InputError: the file is refused, or its reader takes too much or dies of it.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+from tasks.capture.bare_mesh import NO_FRAMES
 from tasks.capture.bare_mesh.upright import Stated
 from tasks.capture.files.documents import license_of, name_of
 from tasks.capture.point_cloud.confined import read_confined
@@ -22,8 +23,6 @@ from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, sing
 
 SUFFIXES = (".pcd", ".xyz", ".pts", ".las", ".laz", ".e57", ".ply")
 """Endings of the files that are read. PLY files are tried as meshes first, unless this format is asked for by name."""
-
-NO_FRAMES = "no frames in the scan: no views, no masks"
 
 
 def read_cloud(scan: Scan) -> Reading:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import open_file
+from tasks.capture.bare_mesh import NO_FRAMES
 from tasks.capture.bare_mesh.upright import Stated
 from tasks.capture.files.documents import license_of, name_of
 from tasks.capture.point_cloud.points import NO_OBJECT, LabelledPoints, Points, check_count
@@ -71,7 +72,7 @@ def read_s3dis(scan: Scan) -> Reading:
     points = Points(values[:, :3], colors, objects=LabelledPoints(owner.astype(np.int64), tuple(named)), unit_m=1.0, notes=tuple(notes))
     stated = Stated(1.0, "z", "its data set")
     license = license_of(license_path(folder, scan.premises))
-    return cloud_reading(points, stated, folder.name, license, ("no frames in the scan: no views, no masks",))
+    return cloud_reading(points, stated, folder.name, license, (NO_FRAMES,))
 
 
 def _rows(path: Path, name: str, notes: list[str]) -> NDArray[np.float64]:

@@ -52,7 +52,7 @@ def test_a_refused_scan_is_told_of_once_and_forgotten_when_it_is_repaired(deploy
     lake = Lake.open(tmp_path / "lake")
 
     def night() -> tuple[str, list[str]]:
-        """How a night ended, and the warnings of its log, which the server keeps."""
+        """The state in which a night ended, and the warnings of its log, which the server keeps."""
         done = deployed.run([sys.executable, "-c", NIGHT, str(scans), lake.address, *SETTINGS])
         assert done.returncode == 0, done.stderr
         said = dict(line.split(": ", 1) for line in done.stdout.splitlines() if line.startswith(("run: ", "state: ")))

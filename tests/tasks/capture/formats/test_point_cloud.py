@@ -315,7 +315,7 @@ def test_a_file_that_cannot_be_used_is_refused_by_name(name: str, content: bytes
 
 
 def grid(viewpoint: np.ndarray | None = None) -> tuple[Cloud, tuple[float, ...]]:
-    """What a depth camera in a room sees, and its lens. viewpoint: turns and moves the points."""
+    """The points that a depth camera in a room sees, and its lens. viewpoint: turns and moves the points."""
     room = box_room()
     camera = room.cameras[0]
     view = RayScene([room.surface.to_trimesh()]).render(camera)
