@@ -11,7 +11,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +95,22 @@ def limit(seconds: int, memory: int, written: int = BUDGET.model_bytes) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def answer(folder: Path, facts: Mapping[str, Any]) -> None:
-    """Leave the answer of a child in its folder."""
+def answer(folder: Path, read: Callable[[], Mapping[str, Any]], remedy: str) -> None:
+    """Leave the facts that a reader gives in a child's folder, otherwise the reason why it refuses the file.
+
+    remedy: for readers that raise something else than InputError.
+    """
+    try:
+        facts = read()
+    except InputError as error:
+        facts = {"refused": [error.field, error.problem, error.remedy]}
+    except MemoryError:  # the parent says so
+        raise
+    except BaseException as error:  # foreign readers raise whatever the bytes lead them to, and panics of Rust are no Exception
+        facts = {"refused": ["content", f"cannot be read ({type(error).__name__}: {error})"[:300], remedy]}
+    leave(folder, facts)
+
+
+def leave(folder: Path, facts: Mapping[str, Any]) -> None:
+    """Leave the facts of a child in its folder."""
     (folder / FACTS).write_text(json.dumps(facts))

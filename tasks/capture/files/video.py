@@ -23,14 +23,7 @@ def main() -> None:
     """Write every so many frames up to the last one with depth as JPEGs, called by their numbers."""
     path, folder, step, last = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4])
     limit(int(sys.argv[5]), int(sys.argv[6]))
-    try:
-        answer(folder, _decode(path, folder, step, last))
-    except InputError as error:
-        answer(folder, {"refused": [error.field, error.problem, error.remedy]})
-    except MemoryError:
-        raise
-    except Exception as error:  # the decoder raises whatever the bytes lead it to
-        answer(folder, {"refused": ["content", f"cannot be decoded ({type(error).__name__}: {error})"[:200], "copy the video again"]})
+    answer(folder, lambda: _decode(path, folder, step, last), "copy the video again")
 
 
 def _decode(path: Path, folder: Path, step: int, last: int) -> dict[str, int]:

@@ -36,15 +36,8 @@ def main() -> None:
     """Read the file that the arguments name into the folder that they name."""
     kind, path, name, folder, written = sys.argv[1], Path(sys.argv[2]), sys.argv[3], Path(sys.argv[4]), int(sys.argv[5])
     limit(int(sys.argv[6]), int(sys.argv[7]), written)
-    try:
-        facts = {"las": _read_las, "e57": _read_e57}[kind](path, name, folder)
-    except InputError as error:
-        facts = {"refused": [error.field, error.problem, error.remedy]}
-    except MemoryError:
-        raise
-    except BaseException as error:  # readers raise whatever the bytes lead them to, and panics of LAZ are not even an Exception
-        facts = {"refused": ["content", f"cannot be read ({type(error).__name__}: {error})"[:200], AGAIN]}
-    answer(folder, facts)
+    read = {"las": _read_las, "e57": _read_e57}[kind]
+    answer(folder, lambda: read(path, name, folder), AGAIN)
 
 
 class _Writer:

@@ -34,14 +34,7 @@ def main() -> None:
     """Write the files of an archive, or the packed ones of a folder, unpacked, below the name that the third argument gives."""
     path, folder, title = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
     limit(int(sys.argv[4]), int(sys.argv[5]))
-    try:
-        answer(folder, unpack(path, folder / FILES / title))
-    except InputError as error:
-        answer(folder, {"refused": [error.field, error.problem, error.remedy]})
-    except MemoryError:
-        raise
-    except Exception as error:  # the decoder raises whatever the bytes lead it to
-        answer(folder, {"refused": ["content", f"cannot be unpacked ({type(error).__name__}: {error})"[:200], "share it again"]})
+    answer(folder, lambda: unpack(path, folder / FILES / title), "share it again")
 
 
 def unpack(path: Path, folder: Path) -> dict[str, int]:

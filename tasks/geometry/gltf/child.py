@@ -15,7 +15,7 @@ import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.parsing import json_value
-from tasks.confinement import answer, limit
+from tasks.confinement import leave, limit
 
 JOBS, DATA, DECODED = "jobs.json", "data.bin", "decoded.bin"
 
@@ -41,7 +41,7 @@ def main() -> None:
                 stated[name] = [np.ascontiguousarray(array).dtype.str, list(array.shape), file.tell()]
                 file.write(np.ascontiguousarray(array).tobytes())
             facts.append({"arrays": stated})
-    answer(folder, {"jobs": facts})
+    leave(folder, {"jobs": facts})
 
 
 def _draco(source: bytes, job: dict[str, Any]) -> dict[str, Any]:

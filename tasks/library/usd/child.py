@@ -27,33 +27,29 @@ def main() -> None:
     """Read or list the file that the arguments name, and leave the answer in the folder that they name."""
     task, path, root, folder = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]), Path(sys.argv[4])
     limit(int(sys.argv[5]), int(sys.argv[6]))
-    try:
-        if path.suffix.lower() == ".usdz":
-            root = folder / "package"
-            path = unpacked(path, root)
-        files, notes = drawn_on(path, root)
-        if task == "list":
-            answer(folder, {"files": [str(file) for file in files]})
-            return
-        from tasks.composition import refuse_large_stage
-        from tasks.geometry.meshes import dump_glb
-        from tasks.library.usd.stage import Flattened
+    answer(folder, lambda: _read(task, path, root, folder), "export it again")
 
-        refuse_large_stage(path)
-        flat = Flattened(path, root, rooms=task == "room")
-        parts = flat.parts()
-        (folder / MODEL).write_bytes(dump_glb(parts))
-        facts: dict[str, Any] = {"unit_m": flat.unit_m, "up": flat.up, "notes": [*notes, *flat.notes]}
-        if flat.elements:
-            facts["elements"] = [dataclasses.astuple(element) for element in flat.elements]
-            facts["part_elements"] = flat.part_elements
-        answer(folder, facts)
-    except InputError as error:
-        answer(folder, {"refused": [error.field, error.problem, error.remedy]})
-    except MemoryError:
-        raise
-    except Exception as error:  # the library raises whatever the bytes lead it to
-        answer(folder, {"refused": ["content", f"cannot be read ({type(error).__name__}: {error})"[:300], "export it again"]})
+
+def _read(task: str, path: Path, root: Path, folder: Path) -> dict[str, Any]:
+    """The files that a USD file draws on, for the task `list`; otherwise facts on its model, which is left in the folder."""
+    if path.suffix.lower() == ".usdz":
+        root = folder / "package"
+        path = unpacked(path, root)
+    files, notes = drawn_on(path, root)
+    if task == "list":
+        return {"files": [str(file) for file in files]}
+    from tasks.composition import refuse_large_stage
+    from tasks.geometry.meshes import dump_glb
+    from tasks.library.usd.stage import Flattened
+
+    refuse_large_stage(path)
+    flat = Flattened(path, root, rooms=task == "room")
+    (folder / MODEL).write_bytes(dump_glb(flat.parts()))
+    facts: dict[str, Any] = {"unit_m": flat.unit_m, "up": flat.up, "notes": [*notes, *flat.notes]}
+    if flat.elements:
+        facts["elements"] = [dataclasses.astuple(element) for element in flat.elements]
+        facts["part_elements"] = flat.part_elements
+    return facts
 
 
 def unpacked(path: Path, folder: Path) -> Path:
