@@ -98,15 +98,13 @@ def _read_las(path: Path, name: str, folder: Path) -> dict[str, Any]:
             writer.add(columns)
         if head.point_count != writer.rows + withheld + noise:
             raise InputError(name, "points", f"are {writer.rows + withheld + noise}, the header states {head.point_count}", AGAIN)
-        notes += [f"{name}: {count} points {reason}: left out" for count, reason in (
-            (withheld, "are marked as withheld"), (noise, "are classified as noise"),
-        ) if count]  # fmt: skip
+        reasons = {"are marked as withheld": withheld, "are classified as noise": noise}
+        notes += [f"{name}: {count} points {reason}: left out" for reason, count in reasons.items() if count]
         taken = {"X", "Y", "Z", "withheld", *objects.values(), *(_CHANNELS if has_color else ())}
         notes += _unused([word for word in names if word not in taken], name)
         notes += [f"{name}: {note}" for note in units.notes]
-    return {
-        "columns": writer.facts(), "unit_m": units.plane_m, "height_factor": units.height_factor, "notes": notes, "sensors": [],
-    }  # fmt: skip
+    facts = {"unit_m": units.plane_m, "height_factor": units.height_factor, "notes": notes, "sensors": []}
+    return {"columns": writer.facts(), **facts}
 
 
 def _check_records(path: Path, name: str) -> None:

@@ -138,9 +138,7 @@ def _surface(points: Points, unit: float, name: str) -> CloudSurface:
     return CloudSurface(surface, cloud, tuple(notes))
 
 
-def groups_of_points(
-    positions: Array, objects: LabelledPoints, vertices: Array, surface: Surface, name: str
-) -> tuple[Group, ...]:  # fmt: skip
+def groups_of_points(positions: Array, objects: LabelledPoints, vertices: Array, surface: Surface, name: str) -> tuple[Group, ...]:
     """Objects of a surface by those of the nearest points; objects without a vertex are left out.
 
     positions: of the points, shape (n, 3). vertices: those of `surface` in the frame of the points, shape (m, 3).
