@@ -40,6 +40,7 @@ OWN = {
     "tasks/exports/files.py files_below": "reads what was just exported",
     "tasks/exports/usd/layers.py new_stage": "opens what was just written",
     "tasks/exports/usd/package.py package": "packs what was just exported",
+    "tasks/capture/record3d/archive.py main": "calls `unpack`, which is fuzzed",
     "tasks/exports/visuals.py Texture.baked": "turns textures of the lake",
     "tasks/exports/wavefront.py as_png": "turns textures of the lake",
     "tasks/captions/physics.py materials": "reads the package's own table",

@@ -414,6 +414,25 @@ def meshes() -> list[Case]:
     return [*found, package, points, {"room.ply": ply_with_image(surface.vertices, surface.faces), "room.png": _image()}]
 
 
+def confined() -> list[Case]:
+    """A cloud as LAS and as E57, a recording as archive and as a folder with packed depth, and a video."""
+    from tests.tasks.capture.formats import clouds, phones
+    from tests.tasks.capture.formats.test_record3d import sample
+
+    cloud, frames = clouds.small_cloud(300), sample().frames
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        recording = phones.write_record3d(place / "recording", frames)
+        phones.pack_record3d(recording)
+        packed = {f"rgbd/{path.name}": path.read_bytes() for path in sorted((recording / "rgbd").iterdir())}
+        clouds.write_las(place / "a.las", cloud)
+        clouds.write_e57(place / "a.e57", cloud)
+        phones.zip_record3d(recording, place / "a.r3d")
+        phones.write_video(place / "rgb.mp4", [frame.color() for frame in frames])
+        files = [{file: (place / file).read_bytes()} for file in ("a.las", "a.e57", "a.r3d", "rgb.mp4")]
+    return [*files, packed]
+
+
 def ply_with_image(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> bytes:
     """A text PLY whose comment names the image `room.png`, with texture coordinates of each corner of a face."""
     head = ["ply", "format ascii 1.0", "comment TextureFile room.png", f"element vertex {len(vertices)}"]

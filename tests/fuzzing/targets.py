@@ -12,7 +12,7 @@ import contextlib
 import io
 import json
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -94,6 +94,7 @@ def _readers() -> list[Target]:
         Target("labels", PARSER, seeds.labels, _read_labels),
         Target("navmesh", PARSER, seeds.navmesh, _read_navmesh),
         Target("mesh", PARSER, seeds.meshes, _read_mesh),
+        Target("confined", STAGE, seeds.confined, _read_confined),
         Target("settings", PARSER, seeds.settings, _read_settings),
         Target("records", PARSER, seeds.records, _read_records),
         Target("parameters", PARSER, seeds.parameters, _read_parameters),
@@ -375,6 +376,32 @@ def _read_mesh(folder: Path) -> None:
     for scan in find_scans(folder, "bare_mesh")[0]:
         scan_files(scan)
         read_mesh(scan)
+
+
+def _read_confined(folder: Path) -> None:
+    """Files of points and packed recordings by the functions that children with limits call."""
+    from schemas.machine.scratch import temporary_folder
+    from schemas.parsing import json_value
+    from tasks.capture.files.video import _decode
+    from tasks.capture.point_cloud.child import _read_e57, _read_las
+    from tasks.capture.record3d.archive import unpack
+    from tasks.confinement import FACTS, answer
+
+    readers: dict[str, Callable[[Path, Path], dict[str, Any]]] = {
+        ".las": lambda path, place: _read_las(path, path.name, place),
+        ".e57": lambda path, place: _read_e57(path, path.name, place),
+        ".mp4": lambda path, place: _decode(path, place, 1, 3),
+        ".r3d": lambda path, place: unpack(path, place / "files"),
+    }
+    for path in sorted(folder.iterdir()):
+        read = (lambda path, place: unpack(path.parent, place / "files")) if path.is_dir() else readers.get(path.suffix)
+        if read is None:
+            continue
+        with temporary_folder() as place:
+            answer(place, partial(read, path, place), "export it again")
+            facts = json_value((place / FACTS).read_bytes())
+        if "refused" in facts:
+            raise Refused(": ".join(facts["refused"]))
 
 
 def _read_records(folder: Path) -> None:
