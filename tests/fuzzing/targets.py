@@ -398,7 +398,10 @@ def _read_confined(folder: Path) -> None:
         if read is None:
             continue
         with temporary_folder() as place:
-            answer(place, partial(read, path, place), "export it again")
+            try:
+                answer(place, partial(read, path, place), "export it again")
+            except MemoryError as error:  # a child dies of it, which its parent tells
+                raise Refused("takes more memory than a child has") from error
             facts = json_value((place / FACTS).read_bytes())
         if "refused" in facts:
             raise Refused(": ".join(facts["refused"]))
