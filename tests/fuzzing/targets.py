@@ -19,7 +19,7 @@ from typing import Any
 
 from schemas.budget import BUDGET
 from schemas.errors import LakeError
-from schemas.files import read_file
+from schemas.files import check_file, is_there, read_file
 from tasks.exports.formats import FORMATS
 from tasks.families import member
 from tests.fuzzing import seeds
@@ -397,12 +397,15 @@ def _read_confined(folder: Path) -> None:
         read = (lambda path, place: unpack(path.parent, place / "files")) if path.is_dir() else readers.get(path.suffix)
         if read is None:
             continue
+        if not path.is_dir():  # as the parent does
+            if not is_there(path):
+                continue
+            check_file(path, path.name, BUDGET.scene_bytes)
         with temporary_folder() as place:
-            try:
+            facts = {"refused": ["content", "takes more memory than a child has"]}
+            with contextlib.suppress(MemoryError):  # a child dies of it, which its parent tells
                 answer(place, partial(read, path, place), "export it again")
-            except MemoryError as error:  # a child dies of it, which its parent tells
-                raise Refused("takes more memory than a child has") from error
-            facts = json_value((place / FACTS).read_bytes())
+                facts = json_value((place / FACTS).read_bytes())
         if "refused" in facts:
             raise Refused(": ".join(facts["refused"]))
 
