@@ -273,4 +273,4 @@ def _hard(folder: Path, index: int, seed: int) -> Surface:
     """A hard room as its scan has it, in the world frame. index: Odd numbers are scanned without frames, which are not read here."""
     truth = make_scan(folder, 2 * index + 1, seed)
     mesh = folder / truth.scan / f"{truth.scan}_vh_clean_2.ply"
-    return read_ply(mesh, mesh.name).transformed(matrix(truth.alignment))
+    return read_ply(mesh, mesh.name).surface.transformed(matrix(truth.alignment))

@@ -132,7 +132,7 @@ def bare_room(folder: Path, number: int, seed: int) -> BareRoom:
     ply = scan / f"{truth.scan}_vh_clean_2.ply"
     mesh = folder / f"bare_{number:04d}.ply"
     mesh.write_bytes(ply.read_bytes())
-    surface = read_ply(ply, ply.name)
+    surface = read_ply(ply, ply.name).surface
     if has_frames(number):
         ply.unlink()
     scenery = scenery_of(dwelling((seed, number)).furnished)

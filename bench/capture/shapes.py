@@ -55,7 +55,7 @@ def shapes_in(world: Surface, scenery: Scenery) -> list[Row]:
 def room_shapes(seed: int, number: int, folder: Path) -> list[Row]:
     """Shapes in a hard room, which is scanned into a folder."""
     truth = make_scan(folder, number, seed)
-    surface = read_ply(folder / truth.scan / f"{truth.scan}_vh_clean_2.ply", truth.scan).transformed(matrix(truth.alignment))
+    surface = read_ply(folder / truth.scan / f"{truth.scan}_vh_clean_2.ply", truth.scan).surface.transformed(matrix(truth.alignment))
     return shapes_in(surface, scenery_of(dwelling((seed, number)).furnished))
 
 

@@ -14,7 +14,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import stays_in
 from tasks.capture.files.documents import name_of, read_bytes
-from tasks.capture.files.ply import read_ply_mesh
+from tasks.capture.files.ply import read_ply
 from tasks.capture.files.survey import offset_error
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.gltf.plain import read_features
@@ -98,7 +98,7 @@ def _guarded_glb(data: bytes, name: str) -> tuple[list[trimesh.Trimesh], list[st
 def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[list[trimesh.Trimesh], list[str]]:
     """Parts of an OBJ, PLY or STL, in its own frame."""
     if kind == "ply":
-        ply = read_ply_mesh(path, name, is_in_metres=False)
+        ply = read_ply(path, name, is_in_metres=False)
         return [ply.surface.to_trimesh()], list(ply.notes)
     if kind == "obj":
         return obj_parts(decoded(data), path, root, name)

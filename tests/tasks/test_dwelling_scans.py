@@ -59,7 +59,7 @@ def test_a_quarter_to_nearly_half_of_what_could_be_seen_is_not(made) -> None:
 @pytest.mark.whole
 def test_the_mesh_is_of_the_size_of_scannets(made) -> None:
     out, _ = made
-    surface = read_ply(out / "scene0000_00" / "scene0000_00_vh_clean_2.ply", "mesh")
+    surface = read_ply(out / "scene0000_00" / "scene0000_00_vh_clean_2.ply", "mesh").surface
     assert 60_000 <= len(surface.vertices) <= 84_000
 
 

@@ -64,7 +64,7 @@ def make(out: Path, config: ScannerConfig, scan: str = "scene0000_00") -> Made:
     return Made(
         folder,
         json.loads((out / f"{scan}.truth.json").read_text()),
-        read_ply(folder / f"{scan}_vh_clean_2.ply", scan),
+        read_ply(folder / f"{scan}_vh_clean_2.ply", scan).surface,
         np.array(segments["segIndices"]),
         json.loads(next(folder.glob("*aggregation.json")).read_text()),
         room,

@@ -49,7 +49,11 @@ def read_arkitscenes(scan: Scan) -> Reading:
     files = _files(scan, scan.premises)
     mesh, boxes = (next((path for path in files if path.name.endswith(ending)), None) for ending in (MESH, BOXES))
     frames, notes = _frames(files, folder)
-    surface = read_ply(mesh, name_of(mesh, folder)) if mesh is not None else None
+    surface = None
+    if mesh is not None:
+        ply = read_ply(mesh, name_of(mesh, folder))
+        surface = ply.surface
+        notes += ply.notes
     poses, lens, scale = (f"{folder.name}/{name}" for name in (POSES, LENSES, DEPTH))
     frames, findings = settled(frames, Statements(poses, lens, scale, "world-to-camera", has_mesh=surface is not None))
     notes += findings

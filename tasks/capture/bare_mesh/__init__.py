@@ -12,7 +12,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.bare_mesh.upright import Y_UP, Stated, bare_reading
 from tasks.capture.files.documents import license_of, name_of, read_bytes
-from tasks.capture.files.ply import read_ply_mesh
+from tasks.capture.files.ply import read_ply
 from tasks.capture.files.survey import MAX_SURVEY_OFFSET
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Reading
@@ -46,7 +46,7 @@ def read_mesh(scan: Scan) -> Reading:
         stated = Stated(None, "z", "most of its kind")
         if is_cloud(read_bytes(path, name, BUDGET.scene_bytes, b"ply"), name):
             return cloud_reading(read_ply_points(path, name), stated, name, license, (NO_FRAMES,))
-        ply = read_ply_mesh(path, name, is_in_metres=False)
+        ply = read_ply(path, name, is_in_metres=False)
         return bare_reading([ply.surface.to_trimesh()], stated, (NO_FRAMES, *ply.notes), license, name)
     try:
         if kind == ".glb":

@@ -157,8 +157,8 @@ def _colors(places: array[int], values: array[float], count: int) -> tuple[NDArr
     return colors, [f"{missing} of {count} vertices state no color: they are gray"] if missing else []
 
 
-def read_obj(path: Path, name: str, texture: NDArray[np.uint8] | None = None) -> Surface:
-    """The triangles of a text OBJ in the file's frame [m], its vertices in their order.
+def read_obj(path: Path, name: str, texture: NDArray[np.uint8] | None = None) -> tuple[Surface, tuple[str, ...]]:
+    """The triangles of a text OBJ in the file's frame [m], its vertices in their order, and parts that are not read, a line each.
 
     Args:
         path: file of the mesh.
@@ -177,4 +177,4 @@ def read_obj(path: Path, name: str, texture: NDArray[np.uint8] | None = None) ->
         uv = np.clip(np.nan_to_num(text.coordinates), -1e6, 1e6)[text.corners.ravel()]
         # The first of a vertex's corners stays.
         colors[text.faces.ravel()[::-1]] = sample_texture(texture, uv, np.ones(3))[::-1]
-    return Surface(text.vertices, text.faces, colors)
+    return Surface(text.vertices, text.faces, colors), tuple(f"{path.name}: {note}" for note in text.notes)

@@ -6,6 +6,7 @@ import dataclasses
 import io
 import re
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from tasks.capture.files.documents import read_bytes
 from tasks.capture.files.named import Folders
 from tasks.capture.files.ply_elements import (
     GRAY,
+    Columns,
+    Triangles,
     as_bytes,
     color_names,
     has_face_colors,
@@ -45,12 +48,16 @@ class ReadPly:
     notes: tuple[str, ...] = ()
 
 
-def read_ply(path: Path, name: str, is_in_metres: bool = True) -> Surface:
-    """The triangles of a PLY; see `read_ply_mesh`."""
-    return read_ply_mesh(path, name, is_in_metres).surface
+@dataclasses.dataclass(frozen=True)
+class LabelledPly:
+    """A mesh and an integer for each of its vertices or triangles. labels: Shape (n,) or (m,). notes: Losses, a line each."""
+
+    surface: Surface
+    labels: NDArray[np.int64]
+    notes: tuple[str, ...] = ()
 
 
-def read_ply_mesh(path: Path, name: str, is_in_metres: bool = True) -> ReadPly:
+def read_ply(path: Path, name: str, is_in_metres: bool = True) -> ReadPly:
     """The triangles of a PLY in the file's frame and unit, with colors of its image, vertices, corners or faces, otherwise gray.
 
     is_in_metres: True if the unit is the metre; the size is checked then.
@@ -60,18 +67,13 @@ def read_ply_mesh(path: Path, name: str, is_in_metres: bool = True) -> ReadPly:
             a face that names a missing vertex.
     """
     data = read_bytes(path, name, BUDGET.scene_bytes, b"ply")
-    order, elements, start = header(data, name)
-    check_counts(data, name)
-    counts = {element.name: element.count for element in elements}
-    if counts.get("vertex", 0) < 3:
-        raise InputError(name, "element vertex", f"has {counts.get('vertex', 0)} vertices, a mesh needs 3", AGAIN)
-    if counts.get("face", 0) < 1:
-        raise InputError(name, "element face", "the mesh has no faces", "export the scan as a triangle mesh")
+    order, elements, start = _mesh_header(data, name)
     images = texture_names(data)
     columns = None if images else _binary(data, start, order, elements, name)
     notes: tuple[str, ...] = ()
     if columns is None:
-        columns, notes = _any_kind(data, start, order, elements, path, name)
+        polygons = _polygons(data, start, order, elements, path, name)
+        columns, notes = (polygons.vertices, polygons.triangles.faces, polygons.colors), polygons.notes
     vertices, faces, colors = columns
     if is_in_metres:
         check_vertices(vertices, name)
@@ -80,6 +82,47 @@ def read_ply_mesh(path: Path, name: str, is_in_metres: bool = True) -> ReadPly:
         row = int(np.flatnonzero(bad.any(axis=1))[0])
         raise InputError(name, f"face {row}", f"names a vertex that does not exist, of {len(vertices)}", AGAIN)
     return ReadPly(Surface(vertices, faces, colors), notes)
+
+
+def read_labelled_ply(path: Path, name: str, element: str, field: str) -> LabelledPly:
+    """The triangles of a PLY in the file's frame [m], and a property of its vertices or faces as integers.
+
+    element: `vertex` or `face`. Each triangle of a polygon has the value of the polygon.
+
+    Raises:
+        InputError: see `read_ply`; or the element has no such property, or its values are not integers.
+    """
+    data = read_bytes(path, name, BUDGET.scene_bytes, b"ply")
+    order, elements, start = _mesh_header(data, name)
+    polygons = _polygons(data, start, order, elements, path, name)
+    check_vertices(polygons.vertices, name)
+    columns = polygons.content[element]
+    if field not in columns or columns[field].counts is not None:
+        has = ", ".join(sorted(key for key, column in columns.items() if column.counts is None)) or "none"
+        raise InputError(name, f"element {element}", f"has no property {field}, only {has}", "use the mesh that the set has for labels")
+    labels = _integers(columns[field].values, name, field)
+    surface = Surface(polygons.vertices, polygons.triangles.faces, polygons.colors)
+    return LabelledPly(surface, labels[polygons.triangles.owner] if element == "face" else labels, polygons.notes)
+
+
+def _mesh_header(data: bytes, name: str) -> tuple[str, list[PlyElement], int]:
+    """Byte order, elements and start of the content of a PLY with vertices and faces."""
+    order, elements, start = header(data, name)
+    check_counts(data, name)
+    counts = {element.name: element.count for element in elements}
+    if counts.get("vertex", 0) < 3:
+        raise InputError(name, "element vertex", f"has {counts.get('vertex', 0)} vertices, a mesh needs 3", AGAIN)
+    if counts.get("face", 0) < 1:
+        raise InputError(name, "element face", "the mesh has no faces", "export the scan as a triangle mesh")
+    return order, elements, start
+
+
+def _integers(values: NDArray[np.generic], name: str, field: str) -> NDArray[np.int64]:
+    if values.dtype.kind == "f" and not (
+        np.isfinite(values).all() and (np.abs(values) < 2**53).all() and (values == np.floor(values)).all()
+    ):
+        raise InputError(name, field, "has values that are no integers", "is it the right file?")
+    return values.astype(np.int64)
 
 
 def texture_names(data: bytes) -> list[str]:
@@ -189,11 +232,19 @@ def _colors(rows: NDArray[np.void], places: dict[str, str]) -> NDArray[np.uint8]
     return as_bytes(values, rows[places[names[0]]].dtype.str[1:])
 
 
-_Mesh = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]
+@dataclasses.dataclass(frozen=True)
+class _Polygons:
+    """Content of a PLY of any kind. vertices: Shape (n, 3). colors: Shape (n, 3). notes: Losses, a line each."""
+
+    content: Mapping[str, Columns]
+    vertices: NDArray[np.float64]
+    triangles: Triangles
+    colors: NDArray[np.uint8]
+    notes: tuple[str, ...]
 
 
-def _any_kind(data: bytes, start: int, order: str, elements: list[PlyElement], path: Path, name: str) -> tuple[_Mesh, tuple[str, ...]]:
-    """Vertices, triangles and colors of a PLY of any kind, and losses: text, polygons, images, colors of faces or corners."""
+def _polygons(data: bytes, start: int, order: str, elements: list[PlyElement], path: Path, name: str) -> _Polygons:
+    """A PLY of any kind: text, polygons, images, colors of faces or corners."""
     try:
         content = read_elements(data, start, order, elements)
     except (ValueError, OverflowError) as error:
@@ -218,18 +269,23 @@ def _any_kind(data: bytes, start: int, order: str, elements: list[PlyElement], p
         raise InputError(name, f"face {row}", f"names a vertex that does not exist, of {len(vertices)}", AGAIN)
     images = PlyImages(path, texture_names(data))
     colors = vertex_colors_of(content, len(vertices), triangles, images.read)
-    return (vertices, triangles.faces, colors), (*images.notes, *(f"{path.name}: {note}" for note in triangles.notes))
+    notes = (*images.notes, *(f"{path.name}: {note}" for note in triangles.notes))
+    return _Polygons(content, vertices, triangles, colors, notes)
 
 
 class PlyImages:
-    """Images that a PLY names, read from its folder.
-
-    notes: Images that are missing or cannot be decoded, a line each.
-    """
+    """Images that a PLY names, read from its folder."""
 
     def __init__(self, path: Path, names: list[str]) -> None:
         self._path, self._names = path, names
-        self.notes: list[str] = []
+        self._used: set[int] = set()
+        self._faults: list[str] = []
+
+    @property
+    def notes(self) -> list[str]:
+        """Images that are missing, cannot be decoded, or are not used by any triangle, a line each."""
+        unused = [name for number, name in enumerate(self._names) if number not in self._used]
+        return [*self._faults, *(f"{self._path.name}: {name} is not used: no texture coordinates belong to it" for name in unused)]
 
     def read(self, number: int) -> NDArray[np.uint8] | None:
         """Pixels of an image by its number, shape (h, w, 3); None for one that is not there."""
@@ -237,9 +293,10 @@ class PlyImages:
 
         if not 0 <= number < len(self._names):
             return None
+        self._used.add(number)
         file = Folders(self._path.parent).find((self._names[number],), self._path.parent, self._path.parent)
         if file is None:
-            self.notes.append(f"{self._path.name}: {self._names[number]} is missing, drawn without it")
+            self._faults.append(f"{self._path.name}: {self._names[number]} is missing, drawn without it")
             return None
         try:
             with warnings.catch_warnings():
@@ -249,5 +306,5 @@ class PlyImages:
                     raise ValueError(f"more than {BUDGET.pixels} pixels")
                 return np.asarray(image.convert("RGB"))
         except Exception:  # the decoder raises whatever the bytes lead it to
-            self.notes.append(f"{self._path.name}: {file.name} cannot be decoded, drawn without it")
+            self._faults.append(f"{self._path.name}: {file.name} cannot be decoded, drawn without it")
             return None

@@ -32,8 +32,9 @@ def read_matterport(scan: Scan) -> Reading:
         InputError: a file is missing or broken, or segments and mesh do not fit together.
     """
     folder, mesh = scan.folder, own_file(scan, scan.path.name)
-    surface = read_ply(mesh, name_of(mesh, folder))
-    notes = ["no frames are read from this format: no views, no masks"]
+    ply = read_ply(mesh, name_of(mesh, folder))
+    surface = ply.surface
+    notes = [*ply.notes, "no frames are read from this format: no views, no masks"]
     groups = None
     by_name = {path.name: path for path in _files(scan, scan.premises)}
     segments, annotation = (by_name.get(f"{mesh.stem}{ending}") for ending in (SEGMENTS, ANNOTATION))

@@ -19,8 +19,7 @@ from schemas.errors import InputError
 from schemas.wording import counted
 from tasks.capture.files.annotated_rows import whole_numbers
 from tasks.capture.files.documents import license_of, name_of, plain_text, read_bytes, read_json
-from tasks.capture.files.labelled_ply import read_labelled_ply
-from tasks.capture.files.ply import read_ply
+from tasks.capture.files.ply import read_labelled_ply, read_ply
 from tasks.capture.files.ply_header import header
 from tasks.capture.multiscan.annotation import AnnotatedObject, objects_of, upright
 from tasks.capture.multiscan.boxes import box_surfaces
@@ -94,20 +93,22 @@ def _owned_faces(
     name = name_of(mesh, folder)
     is_labelled, is_numbered = _is_labelled(mesh, name), any(entry.number is not None for entry in listed)
     if is_labelled and is_numbered:
-        surface, numbers = read_labelled_ply(mesh, name, "face", NUMBER)
+        labelled = read_labelled_ply(mesh, name, "face", NUMBER)
         places = {entry.number: index for index, entry in enumerate(listed) if entry.number is not None}
         unnumbered = [entry for entry in listed if entry.number is None and not entry.is_removed]
         notes = [f"{entry.field} ({entry.name}): has no {NUMBER}, by which the mesh names its faces" for entry in unnumbered]
-        present, dense = np.unique(numbers, return_inverse=True)
-        return surface, np.array([places.get(int(number), -1) for number in present], dtype=np.int64)[dense], notes
-    surface = read_ply(mesh, name)
+        present, dense = np.unique(labelled.labels, return_inverse=True)
+        notes = [*labelled.notes, *notes]
+        return labelled.surface, np.array([places.get(int(number), -1) for number in present], dtype=np.int64)[dense], notes
+    ply = read_ply(mesh, name)
+    surface = ply.surface
     if segments is None:
         where = "in the annotation" if is_labelled else "at the faces" if is_numbered else "at the faces and in the annotation"
         why = f"no {NUMBER} {where}, and no {mesh.stem}{SEGMENTS} beside the mesh"
-        return surface, None, [f"{why}: instances found in its geometry"]
+        return surface, None, [*ply.notes, f"{why}: instances found in its geometry"]
     segmented = name_of(segments, folder)
     owner, notes = _owner(read_json(segments, segmented), segmented, len(surface.faces), listed)
-    return surface, owner, notes
+    return surface, owner, [*ply.notes, *notes]
 
 
 def _is_labelled(mesh: Path, name: str) -> bool:

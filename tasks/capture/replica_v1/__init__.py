@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from schemas.errors import InputError
 from tasks.capture.files.annotated_rows import labels_by_number
 from tasks.capture.files.documents import license_of, name_of, read_json
-from tasks.capture.files.labelled_ply import read_labelled_ply
+from tasks.capture.files.ply import read_labelled_ply
 from tasks.capture.layout import folders_in
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Group, Reading, groups_of_faces
@@ -41,17 +41,17 @@ def read_replica(scan: Scan) -> Reading:
     for path in (mesh, info):
         if path not in admitted:
             raise InputError(name_of(path, folder), "file", "is missing, or a link that leaves", f"copy {MESH} and {OBJECTS}")
-    surface, object_of_face = read_labelled_ply(mesh, name_of(mesh, folder), "face", "object_id")
+    ply = read_labelled_ply(mesh, name_of(mesh, folder), "face", "object_id")
     name = name_of(info, folder)
     document = read_json(info, name)
-    surface = surface.transformed(_upright(document.get("gravity_dir"), name))
+    surface = ply.surface.transformed(_upright(document.get("gravity_dir"), name))
     labels, notes = _labels(document, name)
-    groups = _groups(labels, object_of_face, surface, name)
+    groups = _groups(labels, ply.labels, surface, name)
     return Reading(
         surface=surface,
         groups=groups,
         license=license_of(license_path(folder, scan.premises)),
-        degradations=(*notes, "no frames in the scan: no views, no masks"),
+        degradations=(*ply.notes, *notes, "no frames in the scan: no views, no masks"),
     )
 
 

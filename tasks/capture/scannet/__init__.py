@@ -51,7 +51,9 @@ def read_scannet(scan: Scan) -> Reading:
             raise InputError(folder.name, f"{layout.scan}_vh_clean_2.ply", "there is no mesh and no frame to make one of", "copy the mesh")
         degradations.append("no mesh in the scan: fused from its frames")
     elif layout.aggregation is None:
-        surface = read_ply(layout.mesh, name_of(layout.mesh, folder))
+        ply = read_ply(layout.mesh, name_of(layout.mesh, folder))
+        surface = ply.surface
+        degradations += ply.notes
         degradations.append("no aggregation in the scan: instances found in its geometry")
     else:
         surface, groups, notes = _segmented(layout, folder, layout.aggregation)
@@ -117,14 +119,15 @@ def _segmented(layout: ScanNetLayout, folder: Path, aggregation: Path) -> tuple[
     aggregated = name_of(aggregation, folder)
     document = read_json(aggregation, aggregated)
     segments, mesh = _pair(layout, folder, document, aggregated)
-    surface = read_ply(mesh, name_of(mesh, folder))
+    ply = read_ply(mesh, name_of(mesh, folder))
+    surface = ply.surface
     segmented = name_of(segments, folder)
     of_vertex = integers(read_json(segments, segmented).get("segIndices"), segmented, "segIndices", minimum=-(2**62))
     if len(of_vertex) != len(surface.vertices):
         problem = f"has {len(of_vertex)} values, the mesh {mesh.name} has {len(surface.vertices)} vertices"
         raise InputError(segmented, "segIndices", problem, "use segments and mesh of one and the same scan")
     groups, notes = vertex_groups(document, aggregated, of_vertex, segmented, surface)
-    return surface, groups, notes
+    return surface, groups, [*ply.notes, *notes]
 
 
 def _pair(layout: ScanNetLayout, folder: Path, document: dict[str, Any], name: str) -> tuple[Path, Path]:

@@ -33,8 +33,9 @@ def read_scannetpp(scan: Scan) -> Reading:
     by_name = {path.name: path for path in files}
     if MESH not in by_name:
         raise leaving(place / MESH) if (place / MESH).is_symlink() else InputError(folder.name, MESH, "is missing", "copy the mesh")
-    surface = read_ply(by_name[MESH], name_of(by_name[MESH], folder))
-    notes = ["no frames are read from this format: no views, no masks"]
+    mesh = read_ply(by_name[MESH], name_of(by_name[MESH], folder))
+    surface = mesh.surface
+    notes = [*mesh.notes, "no frames are read from this format: no views, no masks"]
     groups = None
     if ANNOTATION in by_name:
         if SEGMENTS not in by_name:

@@ -22,8 +22,8 @@ from tasks.capture.files.annotated_rows import labels_by_number
 from tasks.capture.files.documents import integers, license_of, name_of, plain_text, read_bytes, read_json, read_text, settings
 from tasks.capture.files.frames import exported_frames
 from tasks.capture.files.images import image_size, read_color
-from tasks.capture.files.labelled_ply import read_labelled_ply
 from tasks.capture.files.obj import read_obj
+from tasks.capture.files.ply import read_labelled_ply
 from tasks.capture.layout import FrameLayout, frame_layout
 from tasks.capture.premises import Premises
 from tasks.capture.reading import FrameSource, Group, Reading, groups_of
@@ -48,18 +48,23 @@ def read_threerscan(scan: Scan) -> Reading:
     folder = scan.path
     files = {path.relative_to(folder).as_posix(): path for path in _files(scan, scan.premises) if path.is_relative_to(folder)}
     labelled, mesh, segments, annotation = (_first(files, names) for names in (LABELLED, MESH, SEGMENTS, ANNOTATION))
-    colored = _colored(mesh, files.get(TEXTURE), folder) if mesh is not None else None
-    document = read_json(annotation, name_of(annotation, folder)) if annotation is not None else None
     notes: list[str] = []
+    colored = None
+    if mesh is not None:
+        colored, more = _colored(mesh, files.get(TEXTURE), folder)
+        notes += more
+    document = read_json(annotation, name_of(annotation, folder)) if annotation is not None else None
     groups: tuple[Group, ...] | None = None
     if annotation is not None and document is not None and labelled is not None:
-        surface, object_of_vertex = read_labelled_ply(labelled, name_of(labelled, folder), "vertex", "objectId")
-        surface = _painted(surface, colored)
-        groups, notes = _labelled_groups(document, name_of(annotation, folder), object_of_vertex, surface)
+        ply = read_labelled_ply(labelled, name_of(labelled, folder), "vertex", "objectId")
+        surface = _painted(ply.surface, colored)
+        groups, more = _labelled_groups(document, name_of(annotation, folder), ply.labels, surface)
+        notes += [*ply.notes, *more]
     elif colored is not None:
         surface = colored
         if annotation is not None and document is not None and segments is not None:
-            groups, notes = _segmented_groups(document, name_of(annotation, folder), segments, folder, surface)
+            groups, more = _segmented_groups(document, name_of(annotation, folder), segments, folder, surface)
+            notes += more
     else:
         raise InputError(folder.name, LABELLED[0], f"there is neither this with {ANNOTATION[0]} nor {MESH[0]}", "copy them")
     if groups is None:
@@ -72,7 +77,8 @@ def read_threerscan(scan: Scan) -> Reading:
     return Reading(surface=surface, groups=groups, frames=frames, license=license, degradations=tuple(notes))
 
 
-def _colored(mesh: Path, texture: Path | None, folder: Path) -> Surface:
+def _colored(mesh: Path, texture: Path | None, folder: Path) -> tuple[Surface, tuple[str, ...]]:
+    """The textured mesh, and parts of its file that are not read, a line each."""
     image = None
     if texture is not None:
         name = name_of(texture, folder)

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from tasks.capture.files.ply import read_ply_mesh
+from tasks.capture.files.ply import read_ply
 from tasks.ingestion.materials import material_files
 
 RGB = np.array([160, 60, 40])
@@ -56,7 +56,7 @@ def write_ply(
 
 
 def mean_color(path: Path) -> list[int]:
-    return read_ply_mesh(path, path.name, is_in_metres=False).surface.colors.mean(axis=0).round().astype(int).tolist()
+    return read_ply(path, path.name, is_in_metres=False).surface.colors.mean(axis=0).round().astype(int).tolist()
 
 
 @pytest.mark.parametrize("order", ["<", ">", ""])
@@ -109,7 +109,7 @@ def test_colors_of_vertices_stay_if_an_image_cannot_be_read(tmp_path: Path, comm
     (folder / "text.png").write_text("not an image")
     wedge = np.full((len(BOX.faces), 6), 0.5)
     path = write_ply(folder / "a.ply", names=("red", "green", "blue"), wedge=wedge, comment=comment)
-    made = read_ply_mesh(path, path.name, is_in_metres=False)
+    made = read_ply(path, path.name, is_in_metres=False)
     assert made.surface.colors.mean(axis=0).round().tolist() == RGB.tolist()
     assert len(made.notes) == bool(comment)
     assert all("is missing" in note or "cannot be decoded" in note for note in made.notes)
@@ -121,6 +121,6 @@ def test_polygons_of_any_size_become_triangles(tmp_path: Path) -> None:
     places = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 1.5, 0)]
     body = "".join(f"{x} {y} {z} 160 60 40\n" for x, y, z in places) + "4 0 1 2 3\n3 2 3 4\n2 0 1\n"
     (tmp_path / "a.ply").write_text(head + body)
-    surface = read_ply_mesh(tmp_path / "a.ply", "a.ply", is_in_metres=False).surface
+    surface = read_ply(tmp_path / "a.ply", "a.ply", is_in_metres=False).surface
     assert surface.faces.tolist() == [[0, 1, 2], [0, 2, 3], [2, 3, 4]]
     assert (surface.colors == RGB).all()

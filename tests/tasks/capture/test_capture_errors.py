@@ -76,7 +76,7 @@ def edit_json(path: Path, change: Callable[[dict], object]) -> None:  # type: ig
 
 
 def replace_surface(folder: Path, change: Callable[[Surface], Surface]) -> None:
-    surface = read_ply(folder / MESH, MESH)
+    surface = read_ply(folder / MESH, MESH).surface
     (folder / MESH).write_bytes(ply_bytes(change(surface)))
 
 
@@ -465,8 +465,8 @@ def test_any_change_of_a_mesh_is_captured_or_refused(tiny: Path) -> None:
 def test_any_change_of_a_ply_works_or_is_refused(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "mesh.ply"
     path.write_bytes(_ply(kind))
-    assert len(read_ply(path, "mesh.ply").faces) == 4
-    assert len(read_ply(path, "mesh.ply").vertices) == 5
+    assert len(read_ply(path, "mesh.ply").surface.faces) == 4
+    assert len(read_ply(path, "mesh.ply").surface.vertices) == 5
 
     @settings(FUZZ, max_examples=150)
     @given(data=mangled(_ply(kind)))

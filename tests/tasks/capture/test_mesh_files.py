@@ -98,7 +98,7 @@ def native(tmp_path_factory: pytest.TempPathFactory) -> tuple[Surface, Outcome]:
     folder = root / "scene0000_00"
     for path in folder.glob("*.json"):
         path.unlink()
-    return read_ply(folder / "scene0000_00_vh_clean_2.ply", "mesh"), captured(folder)
+    return read_ply(folder / "scene0000_00_vh_clean_2.ply", "mesh").surface, captured(folder)
 
 
 @pytest.mark.whole

@@ -100,13 +100,13 @@ def test_concave_quads_are_split_without_ear_clipping(across: float, depth: floa
 
 
 def test_readers_note_outlines_that_cross_themselves(tmp_path: Path) -> None:
-    from tasks.capture.files.ply import read_ply_mesh
+    from tasks.capture.files.ply import read_ply
 
     write_quad(tmp_path, np.array([[0.0, 0, 0], [1, 1, 0], [1, 0, 0], [0, 1.5, 0]]))
     note = "outlines that cross themselves (1): their area is not exact"
     for name in ("a.obj", "a.usda"):
         assert [text.endswith(note) for text in read_model(tmp_path / name, tmp_path).notes] == [True], name
-    assert read_ply_mesh(tmp_path / "a.ply", "a.ply").notes == (f"a.ply: {note}",)
+    assert read_ply(tmp_path / "a.ply", "a.ply").notes == (f"a.ply: {note}",)
 
 
 def test_readers_fill_a_concave_polygon(tmp_path: Path) -> None:
@@ -116,5 +116,5 @@ def test_readers_fill_a_concave_polygon(tmp_path: Path) -> None:
     for name in ("a.obj", "a.usda"):
         parts = read_model(tmp_path / name, tmp_path).parts
         assert sum(part.area for part in parts) == pytest.approx(2.0), name
-    surface = read_ply(tmp_path / "a.ply", "a.ply")
+    surface = read_ply(tmp_path / "a.ply", "a.ply").surface
     assert face_areas(surface.vertices, surface.faces).sum() == pytest.approx(2.0)

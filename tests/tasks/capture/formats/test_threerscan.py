@@ -113,10 +113,10 @@ def test_a_textured_mesh_has_the_colors_of_its_texture(tmp_path: Path) -> None:
     path = tmp_path / "a.obj"
     path.write_text(OBJ)
     texture = np.array([[[10, 20, 30], [40, 50, 60]]], dtype=np.uint8)
-    surface = read_obj(path, "a.obj", texture)
+    surface, _ = read_obj(path, "a.obj", texture)
     assert surface.faces.tolist() == [[0, 1, 2], [1, 3, 2]]
     assert surface.colors.tolist() == [[10, 20, 30], [10, 20, 30], [10, 20, 30], [40, 50, 60]]
-    assert (read_obj(path, "a.obj").colors == 180).all()
+    assert (read_obj(path, "a.obj")[0].colors == 180).all()
 
 
 @pytest.mark.parametrize(
