@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,7 @@ import pytest
 from schemas.tables import TABLES
 from tasks.pipeline import MODULES, SCENE_STAGES, STAGES, upstream
 from tests.conftest import REPOSITORY
+from tests.contributing.parsed import nodes_of, tree_of
 
 ROOMS = {
     "schemas": {"schemas"},
@@ -82,9 +83,9 @@ def modules(room: str) -> list[Path]:
     return sorted((REPOSITORY / room).rglob("*.py"))
 
 
-def imported(tree: ast.AST) -> list[str]:
+def imported(nodes: Iterable[ast.AST]) -> list[str]:
     names = []
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -97,7 +98,7 @@ def imported(tree: ast.AST) -> list[str]:
 def test_a_room_imports_only_what_it_may(room: str) -> None:
     wrong = []
     for path in modules(room):
-        for name in imported(ast.parse(path.read_text())):
+        for name in imported(nodes_of(path.read_text())):
             top = name.split(".")[0]
             if (path.relative_to(REPOSITORY).as_posix(), top) in DOORS:
                 continue
@@ -142,15 +143,13 @@ def test_heavy_packages_are_imported_where_they_are_used(room: str) -> None:
     for path in modules(room):
         if path in FLOWS or path.name.endswith("_script.py"):  # which are run, and never imported
             continue
+        text = path.read_text()
         if path.parent.name == NETWORKS:
-            heavy = {n.split(".")[0] for n in imported(ast.parse(path.read_text()))} & HEAVY
+            heavy = {n.split(".")[0] for n in imported(nodes_of(text))} & HEAVY
             wrong += [f"{path.relative_to(REPOSITORY)}: {n}" for n in sorted(heavy - {"torch"})]
             continue
-        at_once = [node for node in ast.parse(path.read_text()).body if isinstance(node, ast.Import | ast.ImportFrom)]
-        wrong += [f"{path.relative_to(REPOSITORY)}: {n}" for n in imported(ast.Module(at_once, [])) if NETWORKS in n.split(".")]
-        for node in ast.parse(path.read_text()).body:
-            wrong += [f"{path.relative_to(REPOSITORY)}: {n}" for n in imported(ast.Module([node], [])) if n.split(".")[0] in HEAVY
-                      and isinstance(node, ast.Import | ast.ImportFrom)]  # fmt: skip
+        at_once = imported(tree_of(text).body)
+        wrong += [f"{path.relative_to(REPOSITORY)}: {n}" for n in at_once if NETWORKS in n.split(".") or n.split(".")[0] in HEAVY]
     assert not wrong
 
 
@@ -212,20 +211,24 @@ LATE = {"warehouse.storage.files": "opens the storage of an address by its kind;
 def graph_of(sources: dict[str, str], late: Collection[str] = ()) -> dict[str, set[str]]:
     """The modules that each one imports, wherever it does, but for the type checker; of `late` ones those that are imported at once."""
 
-    def imports(name: str, node: ast.AST) -> Iterator[str]:
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            return
-        if isinstance(node, ast.FunctionDef) and name in late:
-            return
-        for imported_name in imported(node) if isinstance(node, ast.Import | ast.ImportFrom) else ():
-            aliases = [f"{imported_name}.{alias.name}" for alias in node.names] if isinstance(node, ast.ImportFrom) else []
-            yield from (alias if alias in sources else imported_name for alias in aliases or [imported_name])
-        for child in ast.iter_child_nodes(node):
-            yield from imports(name, child)
+    def names(node: ast.Import | ast.ImportFrom) -> list[str]:
+        (module, *others) = imported([node])
+        aliases = [f"{module}.{alias.name}" for alias in node.names] if isinstance(node, ast.ImportFrom) else [module, *others]
+        return [alias if alias in sources else module for alias in aliases]
 
-    return {
-        name: {other for other in imports(name, ast.parse(text)) if other in sources and other != name} for name, text in sources.items()
-    }
+    graph = {}
+    for name, text in sources.items():
+        skipped = ast.FunctionDef if name in late else ()
+        left: list[ast.AST] = [tree_of(text)]
+        graph[name] = set()
+        while left:
+            node = left.pop()
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                graph[name] |= {other for other in names(node) if other in sources and other != name}
+            elif isinstance(node, ast.stmt | ast.Module | ast.ExceptHandler | ast.match_case) and not isinstance(node, skipped):
+                is_for_types = isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+                left += [] if is_for_types else ast.iter_child_nodes(node)
+    return graph
 
 
 def sources() -> dict[str, str]:
@@ -259,7 +262,7 @@ def test_every_class_has_a_name_of_its_own() -> None:
     classes = Counter(
         node.name
         for text in sources().values()
-        for node in ast.parse(text).body
+        for node in tree_of(text).body
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     )
     assert {name for name, count in classes.items() if count > 1} == set(STORED)
@@ -268,7 +271,7 @@ def test_every_class_has_a_name_of_its_own() -> None:
 def test_every_prefect_task_and_flow_has_a_name() -> None:
     found = 0
     for path in modules("flows"):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes_of(path.read_text()):
             for decorator in getattr(node, "decorator_list", []):
                 call = decorator.func if isinstance(decorator, ast.Call) else decorator
                 if isinstance(call, ast.Name) and call.id in ("task", "flow"):
@@ -343,7 +346,7 @@ def opens(node: ast.AST) -> bool:
         return node.func.id in {"open", "ZipFile"}
     if not isinstance(node.func, ast.Attribute):
         return False
-    owner, name = ast.unparse(node.func.value), node.func.attr
+    owner, name = node.func.value.id if isinstance(node.func.value, ast.Name) else "", node.func.attr
     first = node.args[0] if node.args else next((k.value for k in node.keywords if k.arg == "mode"), None)
     is_bytes = isinstance(first, ast.Call) and ast.unparse(first.func) == "io.BytesIO"
     if name in OPENERS:
@@ -356,10 +359,7 @@ def opens(node: ast.AST) -> bool:
 
 def test_what_people_hand_in_is_opened_in_one_place() -> None:
     found = {
-        path.relative_to(REPOSITORY).as_posix()
-        for room in PRODUCT
-        for path in modules(room)
-        if any(map(opens, ast.walk(ast.parse(path.read_text()))))
+        path.relative_to(REPOSITORY).as_posix() for room in PRODUCT for path in modules(room) if any(map(opens, nodes_of(path.read_text())))
     }
     assert found - set(OWN) == set(), "open what people hand in with schemas.files"
     assert set(OWN) - found == set(), "they open nothing any more"
@@ -401,21 +401,23 @@ REPEATED = {
 NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 
 
-def runs_of_six(tree: ast.AST) -> set[str]:
+def runs_of_six(function: ast.AST) -> set[str]:
     """Runs of statements of function bodies that fill six lines or more, written alike, names by their order."""
     runs = set()
-    bodies = [getattr(node, field, None) for node in ast.walk(tree) for field in ("body", "orelse", "finalbody")
+    text = ast.unparse(function)
+    written = text.splitlines()
+    bodies = [getattr(node, field, None) for node in ast.walk(ast.parse(text)) for field in ("body", "orelse", "finalbody")
               if not isinstance(node, ast.Module | ast.ClassDef)]  # fmt: skip
     for body in bodies:
         if not isinstance(body, list):
             continue
         passive = (ast.Import, ast.ImportFrom)
         plain = [s for s in body if not isinstance(s, passive) and not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))]
-        texts = [ast.unparse(statement).splitlines() for statement in plain]
+        texts = [[line[s.col_offset :] for line in written[s.lineno - 1 : s.end_lineno]] for s in plain]
         for start in range(len(texts)):
             lines: list[str] = []
-            for text in texts[start:]:
-                lines += text
+            for statement in texts[start:]:
+                lines += statement
                 if len(lines) >= 6:
                     names: dict[str, str] = {}
                     runs.add(NAME.sub(lambda word, names=names: names.setdefault(word[0], f"n{len(names)}"), "\n".join(lines)))
@@ -427,7 +429,7 @@ def repeated(sources: dict[str, str]) -> set[tuple[str, ...]]:
     """Names of sources that hold the same run of six lines; a name alone where it holds one twice."""
     holders: dict[str, list[str]] = {}
     for name, source in sources.items():
-        functions = [node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)]
+        functions = [node for node in tree_of(source).body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)]
         for function in functions:
             for run in runs_of_six(function):
                 holders.setdefault(run, []).append(name)
@@ -456,7 +458,7 @@ def test_variables_are_named_after_what_they_hold() -> None:
         f"{path.relative_to(REPOSITORY)}:{node.lineno}: {name}"
         for room in ROOMS
         for path in modules(room)
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in nodes_of(path.read_text())
         if (name := node.arg if isinstance(node, ast.arg) else node.id if isinstance(node, ast.Name) else "") in VAGUE
     }
     assert vague == set()

@@ -31,6 +31,7 @@ from tasks.lineage.places import places_of
 from tasks.navigation import path_finders
 from tasks.selection.methods import members as selection_methods
 from tests.conftest import REPOSITORY
+from tests.contributing.parsed import nodes_of
 from tests.scans import OBJECTS, write_scan
 from tests.test_pipeline import QUICK
 
@@ -210,14 +211,13 @@ def is_own(path: str, name: str) -> bool:
 
 def words_of(source: str) -> Iterator[str]:
     """Literals of a module that are a member's name, but for docstrings, and where they end the name of a file or blob."""
-    tree = ast.parse(source)
     endings = set()
-    for node in ast.walk(tree):
+    for node in nodes_of(source):
         if isinstance(node, ast.Call):
             is_blob = isinstance(node.func, ast.Attribute) and node.func.attr in ("add", "put") and len(node.args) == 2
             endings |= {id(node.args[1])} if is_blob else set()
             endings |= {id(keyword.value) for keyword in node.keywords if keyword.arg == "file_type"}
-    for node in ast.walk(tree):
+    for node in nodes_of(source):
         if isinstance(node, ast.Constant) and node.value in NAMES and id(node) not in endings:
             yield node.value
 
@@ -257,10 +257,10 @@ def test_no_text_lists_members_either() -> None:
     wrong = []
     for room in ROOMS:
         for path in sorted((REPOSITORY / room).rglob("*.py")):
-            tree = ast.parse(path.read_text())
-            nodes = [node for node in ast.walk(tree) if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)]
+            text = path.read_text()
+            nodes = [node for node in nodes_of(text) if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)]
             docstrings = {id(node.body[0].value) for node in nodes if node.body and isinstance(node.body[0], ast.Expr)}
-            for node in ast.walk(tree):
+            for node in nodes_of(text):
                 if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
                     named = set(LISTED.findall(node.value))
                     listed = any(len(named & set(names)) > 1 for names, _ in FAMILIES.values())
