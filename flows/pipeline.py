@@ -337,7 +337,7 @@ def _carry_out(
     with Board() as board:
         board.begin(plan, lake.address, scans, dataset)
         if plan.todo:
-            with _workers(coordinator.run_id, fan_out) as tasks:
+            with computing(coordinator.run_id, fan_out, len(plan.todo)) as tasks:
                 outcome = coordinator.run(tasks, board.advance, {"scans": scans})
         settle(lake, plan)
         broken = broken_checks(lake, {scene.scan.scene_id for scene in plan.scenes})
@@ -361,9 +361,12 @@ def _outputs(lake: Lake) -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def _workers(run: str, fan_out: FanOut) -> Iterator[_Tasks]:
-    """Where tasks run. The pool ends before the threads that wait for it do, or they would wait for ever."""
+def computing(run: str, fan_out: FanOut, scenes: int) -> Iterator[_Tasks]:
+    """Runner of the tasks. Scenes fewer than workers get one process each, which spreads their work over processes of its own.
+
+    The pool ends before the threads that wait for it do, or they would wait for ever.
+    """
     with _Tasks(lambda: task_runner(fan_out.runner, fan_out.workers, fan_out.dask_address)) as tasks, contextlib.ExitStack() as pool:
         if fan_out.runner == "pool":
-            pool.enter_context(shared_pool(run, fan_out.workers))
+            pool.enter_context(shared_pool(run, min(fan_out.workers, scenes)))
         yield tasks

@@ -13,6 +13,7 @@ import os
 import pickle
 import queue
 import threading
+import time
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
@@ -32,6 +33,9 @@ _HEARING_SECONDS = 0.02
 
 _ENDING_SECONDS = 5.0
 """How long a helper that says nothing more may take to end, until it counts as lost."""
+
+MIN_WORK_SECONDS = 1.0
+"""A worker does so much by itself before it starts helpers: starting one costs seconds of a core, and small scenes need none."""
 
 IDLE_SECONDS = 60.0
 """A helper that nobody asked for so long ends; the next one takes seconds to start."""
@@ -62,11 +66,13 @@ def _own_crew() -> Crew:
 class Crew:
     """``Crew().spread(function, items, 1)``: what the function makes of each item, by this process and one helper.
 
-    idle_seconds: How long a helper waits for the next work before it ends [s].
+    idle_seconds: How long a helper waits for the next work before it ends [s]. work_seconds: Work that this process does by itself
+    before it starts helpers [s].
     """
 
-    def __init__(self, idle_seconds: float = IDLE_SECONDS) -> None:
+    def __init__(self, idle_seconds: float = IDLE_SECONDS, work_seconds: float = MIN_WORK_SECONDS) -> None:
         self._idle_seconds = idle_seconds
+        self._seconds_left = work_seconds
         self._context = multiprocessing.get_context("spawn")
         self._claims, self._offers = self._context.Pipe(duplex=False)
         os.set_blocking(self._claims.fileno(), False)
@@ -85,9 +91,23 @@ class Crew:
         if helpers < 1 or self._losses >= _MOST_LOSSES or not self._lock.acquire(blocking=False):
             return [function(item) for item in items]
         try:
-            return self._shared(function, items, helpers)
+            made = self._alone(function, items)
+            items = items[len(made) :]
+            helpers = min(helpers, len(items) - 1)
+            return [*made, *(self._shared(function, items, helpers) if helpers > 0 else map(function, items))]
         finally:
             self._lock.release()
+
+    def _alone(self, function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        """Values of the first items, as many as are due before helpers are started."""
+        made = []
+        for item in items if self._seconds_left > 0 else ():
+            began = time.monotonic()
+            made.append(function(item))
+            self._seconds_left -= time.monotonic() - began
+            if self._seconds_left <= 0:
+                break
+        return made
 
     def _shared(self, function: Callable[[Any], Any], items: Sequence[Any], count: int) -> list[Any]:
         self._round += 1

@@ -35,7 +35,7 @@ class WorkerPool:
     """
 
     def __init__(self, workers: int) -> None:
-        self._workers = workers
+        self.workers = workers
         self._lock = threading.Lock()
         self._open: dict[Any, tuple[str, ...] | None] = {}
         self._begun: dict[Any, float] = {}
@@ -48,7 +48,7 @@ class WorkerPool:
         from pebble import ProcessPool
 
         return ProcessPool(
-            max_workers=self._workers, context=multiprocessing.get_context("spawn"), initializer=start_worker, initargs=(os.getpid(),)
+            max_workers=self.workers, context=multiprocessing.get_context("spawn"), initializer=start_worker, initargs=(os.getpid(),)
         )
 
     def _replace(self, broken: Any) -> None:

@@ -73,6 +73,14 @@ def test_the_pool_of_a_run_that_is_over_is_not_replaced_by_another() -> None:
         pool_of("run")
 
 
+@pytest.mark.parametrize(("scenes", "workers"), [(1, 1), (2, 2), (5, 3)])
+def test_no_run_starts_more_workers_than_it_has_scenes(scenes: int, workers: int) -> None:
+    from flows.pipeline import computing
+
+    with computing("run", FanOut(workers=3), scenes):
+        assert pool_of("run").workers == workers
+
+
 def test_scenes_of_another_run_are_no_longer_counted_as_left(plan: tuple[Plan, Lake]) -> None:
     found, lake = plan
     names = [scene.scan.scene_id for scene in found.scenes]

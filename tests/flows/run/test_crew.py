@@ -17,6 +17,7 @@ from typing import Any
 import psutil
 import pytest
 
+from flows.run import crew as crew_module
 from flows.run.crew import Crew, crew_of
 from flows.run.parts import place_of
 from flows.run.pool import WorkerPool
@@ -30,7 +31,7 @@ pytestmark = pytest.mark.timeout(600)
 @pytest.fixture
 def crew() -> Iterator[Crew]:
     before = set(helpers())
-    yield Crew()
+    yield Crew(work_seconds=0)
     for child in multiprocessing.active_children():
         if child.name == "helper" and child.pid not in before:
             child.kill()
@@ -248,6 +249,35 @@ def is_warm(crew: Crew, folder: Path) -> bool:
     return len(all_take_part(crew, folder)) == 2
 
 
+class Clock:
+    """A second passes each time that somebody looks."""
+
+    def __init__(self) -> None:
+        self._now = 0
+
+    def monotonic(self) -> int:
+        self._now += 1
+        return self._now
+
+
+def test_a_worker_with_little_to_do_starts_no_helper() -> None:
+    crew, before = Crew(work_seconds=float("inf")), helpers()
+    for count in range(20):
+        assert crew.spread(squared, range(count), 3) == [n**2 for n in range(count)]
+    assert helpers() == before
+    with pytest.raises(ValueError, match="int"):
+        crew.spread(int, ["1", "x", "y"], 1)
+
+
+def test_helpers_start_once_a_worker_has_worked_for_so_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(crew_module, "time", Clock())
+    crew, shared = Crew(work_seconds=5), []
+    monkeypatch.setattr(crew, "_shared", lambda function, items, count: shared.append((list(items), count)) or [*map(function, items)])
+    for items in ([1, 2], [3, 4], [5, 6, 7, 8], [9], [10, 11]):
+        assert crew.spread(squared, items, 3) == [n**2 for n in items]
+    assert shared == [([6, 7, 8], 2), ([10, 11], 1)]
+
+
 @pytest.mark.whole
 def test_a_helper_that_has_started_takes_part_in_every_round(crew: Crew, tmp_path: Path) -> None:
     """An order that comes before what there is to claim would find nothing, and be done."""
@@ -256,7 +286,7 @@ def test_a_helper_that_has_started_takes_part_in_every_round(crew: Crew, tmp_pat
 
 @pytest.mark.whole
 def test_a_helper_that_nobody_asks_ends_and_another_one_helps_next(tmp_path: Path) -> None:
-    crew = Crew(idle_seconds=0.05)
+    crew = Crew(idle_seconds=0.05, work_seconds=0)
     before = set(helpers())
     for turn in range(5):  # more often than helpers may be lost
         assert is_warm(crew, tmp_path / str(turn))
@@ -308,6 +338,8 @@ def test_helpers_may_have_processes_of_their_own(crew: Crew, tmp_path: Path) -> 
 
 
 def with_a_crew(folder: str) -> tuple[list[int], list[int]]:
+    multiprocessing.current_process().daemon = False
+    crew_module._own.append(Crew(work_seconds=0))
     return crew_of(3)(noted, [(folder, number) for number in range(8)]), helpers()
 
 
