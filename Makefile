@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Outside of a virtual environment pip refuses: a broken .venv must never lead it into the system's Python.
 PIP := PIP_REQUIRE_VIRTUALENV=1 $(BIN)/python -m pip --disable-pip-version-check --no-input
+# Modules are compiled when they are first imported: to compile all of torch and the like takes a minute or more.
+INSTALL := $(PIP) install -q --no-compile
+unexport PYTHONDONTWRITEBYTECODE
 OUT ?= demo
 KILLS ?= 1000
 MINUTES ?= 120
@@ -84,8 +87,8 @@ $(VENV)/.made:
 	touch $@
 
 $(VENV)/.run-ready: requirements/run.lock pyproject.toml | $(VENV)/.made
-	$(PIP) install -q --no-deps -r requirements/run.lock
-	$(PIP) install -q --no-deps --no-build-isolation -e .
+	$(INSTALL) --no-deps -r requirements/run.lock
+	$(INSTALL) --no-deps --no-build-isolation -e .
 	touch $@
 
 # By all cores and once for each kernel; workers would each compile them all. What changes later is compiled when it is called.
@@ -95,21 +98,21 @@ $(VENV)/.compiled: $(VENV)/.run-ready
 
 # With what it depends on, in the versions of the lock: a build of torch for graphics cards brings libraries that no lock names.
 $(VENV)/.train-ready: requirements/train.lock $(VENV)/.run-ready
-	$(PIP) install -q -r requirements/train.lock -c requirements/run.lock
+	$(INSTALL) -r requirements/train.lock -c requirements/run.lock
 	touch $@
 
 $(VENV)/.open3d-ready: requirements/open3d.lock $(VENV)/.run-ready
-	$(PIP) install -q --no-deps -r requirements/open3d.lock
+	$(INSTALL) --no-deps -r requirements/open3d.lock
 	@$(BIN)/python -c "import open3d" || { echo "make open3d: install what it links with first" \
 		"(apt-get install libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libidn2-0)" >&2; exit 1; }
 	touch $@
 
 $(VENV)/.test-ready: requirements/test.lock $(VENV)/.train-ready
-	$(PIP) install -q --no-deps -r requirements/test.lock
+	$(INSTALL) --no-deps -r requirements/test.lock
 	touch $@
 
 $(VENV)/.docs-ready: requirements/docs.lock $(VENV)/.run-ready
-	$(PIP) install -q --no-deps -r requirements/docs.lock
+	$(INSTALL) --no-deps -r requirements/docs.lock
 	touch $@
 
 lock:  ## Resolve the dependencies anew and pin them.

@@ -56,7 +56,7 @@ def test_actions_are_pinned_and_nothing_is_secret() -> None:
 
 def test_packages_are_kept_as_long_as_the_lock_files_are_the_same() -> None:
     (kept,) = [step["with"] for step in JOB["steps"] if step.get("uses", "").startswith("actions/cache@")]
-    installed = re.findall(r"install .*-r (requirements/\w+\.lock)", (REPOSITORY / "Makefile").read_text())
+    installed = re.findall(r"INSTALL.*-r (requirements/\w+\.lock)", (REPOSITORY / "Makefile").read_text())
     needed = {f"requirements/{name}.lock" for name in ("run", "train", "test")}
     assert needed <= set(installed)
     assert set(re.findall(r"requirements/\w+\.lock", kept["key"])) == needed
