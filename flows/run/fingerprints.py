@@ -87,26 +87,36 @@ def code_fingerprint(module: str) -> str:
     The members of an open family count as imported where `tasks.families.members` makes their tuple.
 
     Data files (CSV, JSON, YAML) in the folders of those modules count as code. Parsing them all takes seconds, so what was found
-    for exactly these contents is remembered between processes.
+    for exactly these contents is remembered between processes: beside the code, else in the user's cache folder.
     """
-    store = FileCache(cache_folder())
-    known = _remembered(store)
+    known = {name: value for store in reversed(_code_stores()) for name, value in _remembered(store).items()}
     if module not in known:
         known[module] = _fingerprint_of(module)
         if _marks() == _marks_of_rooms():  # no file was edited meanwhile
-            store[CODE_STORE] = json.dumps({"contents": _contents_of_rooms(), "modules": known}).encode()
+            _remember(json.dumps({"contents": _contents_of_rooms(), "modules": known}).encode())
     return known[module]
 
 
-CODE_STORE = "code_fingerprints.json"
+def _code_stores() -> tuple[Path, ...]:
+    """Files with fingerprints of code: among the compiled modules, which all users of an installation share, and this user's own."""
+    name = "code_fingerprints.json"
+    return (ROOT / "flows" / "run" / "__pycache__" / name, cache_folder() / name)
 
 
-def _remembered(store: Mapping[str, bytes]) -> dict[str, str]:
+def _remember(data: bytes) -> None:
+    """Write the first file of fingerprints that can be written."""
+    for store in _code_stores():
+        with contextlib.suppress(OSError):
+            write_whole(store, data)
+            return
+
+
+def _remembered(store: Path) -> dict[str, str]:
     """Fingerprints of modules that were found for the files as they are now."""
     try:
-        read = json_value(store[CODE_STORE])
+        read = json_value(store.read_bytes())
         hashes = {str(name): str(value) for name, value in read["modules"].items()} if read["contents"] == _contents_of_rooms() else {}
-    except (KeyError, ValueError, TypeError, AttributeError):
+    except (OSError, KeyError, ValueError, TypeError, AttributeError):
         return {}
     return {name: value for name, value in hashes.items() if re.fullmatch("[0-9a-f]{64}", value)}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import shutil
 import time
@@ -174,7 +175,8 @@ def test_the_place_of_the_code_does_not_count(code: Path, monkeypatch: pytest.Mo
 @pytest.mark.whole
 def test_what_is_remembered_of_code_counts_for_these_files_only(code: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METASCENES_CACHE", str(tmp_path / "cache"))
-    store = tmp_path / "cache" / fingerprints.CODE_STORE
+    store, own = fingerprints._code_stores()
+    assert (store.is_relative_to(code), own.parent) == (True, tmp_path / "cache")
     computed: list[str] = []
     compute = fingerprints._fingerprint_of
 
@@ -198,7 +200,14 @@ def test_what_is_remembered_of_code_counts_for_these_files_only(code: Path, tmp_
     assert fingerprint() == found[COPIED_STAGE]
     shutil.rmtree(store.parent)
     store.parent.write_text("no folder")
+    assert not own.exists()
     assert fingerprint() == found[COPIED_STAGE]
+    assert set(json.loads(own.read_bytes())["modules"]) == {COPIED_STAGE}
+    computed.clear()
+    assert fingerprint() == found[COPIED_STAGE]
+    own.write_text("broken")
+    assert fingerprint() == found[COPIED_STAGE]
+    assert computed == [COPIED_STAGE]
 
 
 def test_comments_docstrings_and_blank_lines_do_not_count(code: Path) -> None:
