@@ -149,6 +149,7 @@ def test_status_says_that_everything_is_done(ask: Ask, lake: Path) -> None:
         "errors": [],
         "broken_checks": [],
         "same": [],
+        "refused": [],
     }
 
 
