@@ -94,7 +94,7 @@ class ServedBatch:
             self.assigned[key] = self.assigned.get(key, frozenset()) | {row.annotator}
         asked = asked_of(reader, batch, assignments)
         self.assets = {row.asset_id: row for row in asked.assets}
-        self.scenes = BatchScenes(lake, reader.snapshot_id, (), frozenset())
+        self.scenes = BatchScenes(lake, reader.snapshot_id, sorted({scene for scene, _ in self.assigned}), frozenset())
         self._shown_files = {table: reader.files(table) for table in COMPARED}
         only = {"scene_id": {scene for scene, _ in self.assigned}}
         self._shown_rows = {table: reader.matching(table, only) for table in COMPARED}

@@ -33,6 +33,7 @@ from tasks.capture.instances.views import view_of
 from tasks.geometry.transforms import flat, inverse, look_at, transform_points, translation
 from tasks.geometry.windows import view_window
 from tests.annotated import SCENES, answer
+from tests.flows.view import asked
 from tests.flows.view.batches import BATCH, ORIGIN, PORT, Desk, asked_lake, digests, stand_in
 from tests.samples import sample
 
@@ -281,4 +282,12 @@ def test_a_batch_shows_its_own_scenes_alone(tmp_path: Path) -> None:
     for ask in (scenes.shown, scenes.scan_path, lambda scene: scenes.masks(scene, "000000")):
         with pytest.raises(InputError, match="is no scene of this batch"):
             ask(SCENES[1])
+    drafts.close()
+
+
+def test_a_batch_shows_other_photos_of_its_objects(tmp_path: Path) -> None:
+    lake = asked.asked_lake(tmp_path, scenes=asked.SCENES[:1])
+    drafts = Drafts(tmp_path / "drafts.sqlite", asked.BATCH)
+    photos = [row["photos"] for row in ServedBatch(lake, asked.BATCH, drafts, [])._objects.values()]
+    assert max(map(len, photos)) > 1, "beside the best one"
     drafts.close()
