@@ -139,10 +139,12 @@ def _filmed(lake: Lake, done: Driven, folder: Path, per_outcome: int) -> Filmed:
 
 def _metrics(lake: Lake, done: Driven) -> list[dict[str, Any]]:
     """Rows of the view `robot_metrics` of these drives' policies."""
+    from warehouse.questions.views import asked_by
+
     reader = lake.snapshot()
     rows = reader.matching("robot_runs", {"batch_id": done.batches}, [*_WAYS]).to_pylist() if done.batches else []
     wanted = {tuple(row[name] for name in _WAYS) for row in rows}
-    with reader.connect() as connection:
+    with reader.connect(names=asked_by("robot_metrics")) as connection:
         metrics = connection.sql("SELECT * FROM robot_metrics").to_arrow_table().to_pylist()
     return [row for row in metrics if tuple(row[name] for name in _WAYS) in wanted]
 

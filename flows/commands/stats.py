@@ -49,7 +49,9 @@ def command(
         print(json.dumps(stage_rows(reader)) if as_json else stage_table(reader))
         return
     if dry_run:
-        with reader.connect() as connection:
+        from warehouse.questions.views import asked_by
+
+        with reader.connect(names=asked_by("headline")) as connection:
             scenes = connection.sql("SELECT scenes FROM headline").fetchall()[0][0]
         answer = {"dry_run": True, "snapshot_id": reader.snapshot_id, "scenes": scenes, "report": str(report_path(out))}
         answer |= {"pictures_folder": str(pictures)} if pictures else {}

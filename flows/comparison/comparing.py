@@ -20,6 +20,7 @@ from schemas.evaluation import Trajectory
 from schemas.record import arrow_to_rows
 from schemas.training import LearnedModel
 from warehouse.lake import Lake
+from warehouse.questions.views import asked_by
 
 Train = Callable[[ComparedTraining], LearnedModel]
 """Carries a training out that the lake does not have the model of."""
@@ -174,9 +175,9 @@ def _job(
 
 def answers_of_comparison(lake: Lake, comparison_id: str) -> tuple[tuple[dict[str, Any], ...], tuple[dict[str, Any], ...]]:
     """Rows of the views `navigation_comparison` and `navigation_comparison_tests` for one comparison."""
-    with lake.snapshot().connect() as connection:
+    views = ("navigation_comparison", "navigation_comparison_tests")
+    with lake.snapshot().connect(names=asked_by(" ".join(views))) as connection:
         rows, tests = (
-            connection.sql(f"SELECT * FROM {view} WHERE comparison_id = '{comparison_id}'").to_arrow_table().to_pylist()
-            for view in ("navigation_comparison", "navigation_comparison_tests")
+            connection.sql(f"SELECT * FROM {view} WHERE comparison_id = '{comparison_id}'").to_arrow_table().to_pylist() for view in views
         )
     return tuple(rows), tuple(tests)

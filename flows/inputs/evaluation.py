@@ -19,6 +19,7 @@ from tasks.evaluation import check_batch
 from tasks.evaluation.batch import read_batch
 from tasks.stage import Spread
 from warehouse.lake import Lake
+from warehouse.questions.views import asked_by
 from warehouse.tables.history import Key, StageState
 from warehouse.tables.snapshot import Reader
 
@@ -90,7 +91,7 @@ def run_policy(
 
 def metrics_of(reader: Reader, evaluated: Sequence[Evaluated], configuration: Configuration) -> list[dict[str, Any]]:
     """Rows of the view `navigation_metrics` for these policies and runs, at the success distance that is set."""
-    with reader.connect() as connection:
+    with reader.connect(names=asked_by("navigation_metrics")) as connection:
         rows = connection.sql("SELECT * FROM navigation_metrics").to_arrow_table().to_pylist()
     wanted = {(policy_run.policy, policy_run.run_name) for policy_run in evaluated}
     success_m = evaluation_config(configuration).success_m

@@ -17,6 +17,7 @@ from schemas.optimization import Placement
 from schemas.record import arrow_to_rows
 from schemas.robot import RobotRun
 from warehouse.questions.quoting import listed
+from warehouse.questions.views import asked_by
 
 if TYPE_CHECKING:
     from tasks.films.drives import DrivePlan, FilmedRun
@@ -55,8 +56,9 @@ def write_drive_films(
     from tasks.films.walks import FilmLook
 
     look, reader = look or FilmLook(), lake.snapshot()
-    with reader.connect() as connection:
-        rows = connection.sql(shown_drives(per_outcome, f"batch_id IN ({listed(batches)})")).to_arrow_table().to_pylist()
+    sql = shown_drives(per_outcome, f"batch_id IN ({listed(batches)})")
+    with reader.connect(names=asked_by(sql)) as connection:
+        rows = connection.sql(sql).to_arrow_table().to_pylist()
     named = {folder / drive_film_name(row): row for row in rows}
     files, missing = each_written(named, lambda row, file: _write_film(lake, reader, row, look, file), advance)
     return Filmed(tuple(files), tuple(missing if rows else ["no run to film"]))

@@ -215,7 +215,7 @@ def _shipped(lake: Lake, reader: Reader, chosen: Chosen, allowed: Allowed | None
 
 def _unresolved(lake: Lake, reader: Reader, rows: Sequence[ExportFile]) -> list[str]:
     """Scenes whose files say no more of an asset's license than that it is the scan's."""
-    with reader.connect() as connection:
+    with reader.connect(names=frozenset()) as connection:
         cut = "SELECT DISTINCT scene_id FROM placements JOIN assets USING (asset_id) WHERE contains(assets.license, ?)"
         scenes = {scene for (scene,) in connection.execute(cut, [OF_THE_SCAN]).fetchall()}
     files = [row for row in rows if row.scene_id in scenes and row.role == "scene"]

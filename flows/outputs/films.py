@@ -17,6 +17,7 @@ from schemas.navigation import Navmesh
 from schemas.optimization import Placement
 from schemas.record import arrow_to_rows
 from warehouse.questions.quoting import listed
+from warehouse.questions.views import asked_by
 
 if TYPE_CHECKING:
     from tasks.films.rooms import FilmedRoom
@@ -68,10 +69,10 @@ def write_films(
 
     look, reader = look or FilmLook(), lake.snapshot()
     rows: list[dict[str, Any]] = []
-    with reader.connect() as connection:
-        for policy, run_name in runs:
-            which = f"(policy, run_name) = ({listed((policy, run_name))})"
-            rows += connection.sql(shown_walks(per_outcome, which)).to_arrow_table().to_pylist()
+    asked = [shown_walks(per_outcome, f"(policy, run_name) = ({listed(run)})") for run in runs]
+    with reader.connect(names=asked_by("trajectory_metrics")) as connection:
+        for sql in asked:
+            rows += connection.sql(sql).to_arrow_table().to_pylist()
     missing = []
     for policy, run_name in runs:
         outcomes = {row["success"] for row in rows if (row["policy"], row["run_name"]) == (policy, run_name)}

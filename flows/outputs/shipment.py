@@ -18,6 +18,7 @@ from schemas.parsing import json_value
 from schemas.text import markdown_cell
 from schemas.wording import counted
 from warehouse.lake import Lake
+from warehouse.questions.views import asked_by
 from warehouse.release.attribution import attribution_of_rows
 from warehouse.release.licenses import Allowed, with_licenses_of_scans
 from warehouse.tables.snapshot import Reader
@@ -108,7 +109,7 @@ def shipment(reader: Reader, scenes: Sequence[str], allowed: Allowed) -> Shipmen
 
 def scan_licenses(reader: Reader) -> dict[str, tuple[str, str | None]]:
     """Dataset and license by scene."""
-    with reader.connect() as connection:
+    with reader.connect(names=frozenset()) as connection:
         rows = connection.execute("SELECT scene_id, dataset, license FROM scenes").fetchall()
     return {scene: (dataset, license_) for scene, dataset, license_ in rows}
 
@@ -117,7 +118,7 @@ def attribution_page(reader: Reader, sent: Shipment) -> str:
     """`ATTRIBUTION.md` of what is shipped."""
     scans = scan_licenses(reader)
     placed = []
-    with reader.connect() as connection:
+    with reader.connect(names=frozenset()) as connection:
         rows = connection.execute(
             "SELECT scene_id, instance_id, asset_id, assets.license, assets.author, assets.source, assets.provider"
             " FROM placements JOIN assets USING (asset_id)"
@@ -205,10 +206,9 @@ def _export_settings(reader: Reader, scene_id: str) -> tuple[Any, int]:
     """Config and seed of the export that a snapshot has of a scene."""
     from tasks.exports import ExportsConfig
 
-    with reader.connect() as connection:
-        rows = connection.execute(
-            "SELECT config, reasons FROM current_runs WHERE stage = 'exports' AND scene_id = ?", [scene_id]
-        ).fetchall()
+    sql = "SELECT config, reasons FROM current_runs WHERE stage = 'exports' AND scene_id = ?"
+    with reader.connect(names=asked_by(sql)) as connection:
+        rows = connection.execute(sql, [scene_id]).fetchall()
     if not rows:  # the rows are there, so their run was before runs were kept
         return ExportsConfig(), 0
     seeds = [reason.partition("=")[2] for reason in rows[0][1] if reason.startswith("seed=")]
@@ -229,7 +229,7 @@ def _barred_objects(
     """Objects whose asset may not be shipped, by scene: license and source by instance."""
     licenses = {scene: license_ for scene, (_, license_) in scans.items()}
     barred: dict[str, dict[str, tuple[str, str]]] = {}
-    with reader.connect() as connection:
+    with reader.connect(names=frozenset()) as connection:
         rows = connection.execute(
             "SELECT scene_id, instance_id, assets.license, assets.source FROM placements LEFT JOIN assets USING (asset_id)"
         )

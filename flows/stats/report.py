@@ -18,7 +18,7 @@ from flows.stats.queries import Answers, answers_of
 from flows.stats.scenes import Job, carried_out, drive_still_of, picture_scene_of, strip_of, thumbnails_of, walk_strip_of
 from schemas.files import write_whole
 from schemas.tables import TABLES
-from warehouse.questions.views import views
+from warehouse.questions.views import asked_by, views
 
 if TYPE_CHECKING:
     from tasks.films.drives import DriveStill
@@ -130,7 +130,7 @@ def stage_rows(reader: Reader) -> list[dict[str, Any]]:
 
 
 def _stage_timing(reader: Reader) -> pa.Table:
-    with reader.connect() as connection:
+    with reader.connect(names=asked_by("stage_timing")) as connection:
         return connection.sql("SELECT * FROM stage_timing").to_arrow_table()
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from schemas.robot import RobotRun
+from warehouse.questions.views import asked_by
 from warehouse.tables.snapshot import Reader
 
 MOST_DRIVES = 48
@@ -28,8 +29,8 @@ def _counted(reader: Reader, scene_id: str) -> list[RobotRun]:
     rows = reader.rows(RobotRun, scene_id)
     if not rows:
         return []
-    with reader.connect() as connection:
-        asked = "SELECT batch_id, episode_id FROM current_robot_runs WHERE scene_id = ?"
+    asked = "SELECT batch_id, episode_id FROM current_robot_runs WHERE scene_id = ?"
+    with reader.connect(names=asked_by(asked)) as connection:
         current = set(connection.execute(asked, [scene_id]).fetchall())
     return [row for row in rows if (row.batch_id, row.episode_id) in current]
 

@@ -33,6 +33,7 @@ from tests.conftest import REPOSITORY
 from tests.samples import fingerprint, sample, stage_run
 from tests.test_pipeline import QUICK, metascenes
 from warehouse.lake import Lake
+from warehouse.questions.views import asked_by
 from warehouse.release import make_release
 
 pytestmark = pytest.mark.whole
@@ -84,7 +85,7 @@ def lake(made: Made) -> Lake:
 
 def sql(lake: Lake, query: str, *values: Any) -> list[dict[str, Any]]:
     """Rows of a query, asked of DuckDB alone."""
-    with lake.snapshot().connect() as connection:
+    with lake.snapshot().connect(names=asked_by(query)) as connection:
         return connection.sql(query, params=list(values)).to_arrow_table().to_pylist()
 
 
