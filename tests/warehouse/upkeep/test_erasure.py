@@ -456,10 +456,14 @@ def kept(lake: Lake) -> list[Any]:
 @pytest.mark.parametrize(
     ("step", "others"),
     [
-        ("_remove_staged", "idle"), ("_put_in_force", "idle"), ("_put_in_force", "commit"), ("_put_in_force", "release"),
-        ("_remove_blobs", "idle"), ("final", "commit"),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in [("_remove_staged", "idle"), ("_put_in_force", "idle"), ("_put_in_force", "commit"), ("_remove_blobs", "idle")]
+        ),
+        ("_put_in_force", "release"),
+        ("final", "commit"),
     ],
-)  # fmt: skip
+)
 def test_a_repeated_erasure_keeps_the_snapshots_of_an_undisturbed_one(
     filled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, others: str
 ) -> None:

@@ -343,7 +343,7 @@ def _only_staged(lake: Lake) -> int:
     return len(lake.staging.blob_names() - committed)
 
 
-# One of each part of the inspection; the others go over the whole lake once more each, and wait for `make test-whole`.
+# One of each part of the inspection; the others go over the whole lake once more each, and wait for `make test-all`.
 QUICK = {
     "blob is gone", "stranger among blobs", "data file is cut short", "data file that no version names", "log is no JSON",
     "key is there twice", "value is not finite", "instance is not there", "rows are lost", "staged run lacks a file",
@@ -352,7 +352,7 @@ QUICK = {
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.whole) for name in DAMAGES])
+@pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in DAMAGES])
 def test_damage_is_found_by_its_own_finding(lake: Lake, name: str) -> None:
     damage, kind, text, is_error = DAMAGES[name]
     damage(lake)
