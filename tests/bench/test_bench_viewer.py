@@ -32,6 +32,7 @@ def test_the_scene_has_as_many_points_and_objects_as_asked_for(tmp_path: Path) -
 @pytest.mark.whole
 @pytest.mark.browser
 @pytest.mark.skipif(not bundle.is_built(), reason="`make client` has not been run")
+@pytest.mark.slow
 def test_every_page_has_its_figures() -> None:
     if not any(map(shutil.which, BROWSERS)):
         pytest.skip("no chromium on this machine; apt-get install chromium")
@@ -51,6 +52,7 @@ def test_every_page_has_its_figures() -> None:
 @pytest.mark.whole
 @pytest.mark.browser
 @pytest.mark.skipif(not bundle.is_built(), reason="`make client` has not been run")
+@pytest.mark.slow
 def test_every_annotation_page_has_its_figures() -> None:
     if not any(map(shutil.which, BROWSERS)):
         pytest.skip("no chromium on this machine; apt-get install chromium")

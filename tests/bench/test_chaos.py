@@ -104,6 +104,7 @@ def test_a_run_outlives_its_workers_and_servers(up: dict[str, Process], peace: t
     assert_sound(found)
 
 
+@pytest.mark.slow
 def test_the_verdict_sees_what_is_wrong(peace: tuple[Path, Lake], tmp_path: Path) -> None:
     """Faults made on purpose in a copy of a sound lake."""
     _, undisturbed = peace

@@ -51,8 +51,8 @@ def read_threerscan(scan: Scan) -> Reading:
     notes: list[str] = []
     colored = None
     if mesh is not None:
-        colored, more = _colored(mesh, files.get(TEXTURE), folder)
-        notes += more
+        colored, unread = _colored(mesh, files.get(TEXTURE), folder)
+        notes += unread
     document = read_json(annotation, name_of(annotation, folder)) if annotation is not None else None
     groups: tuple[Group, ...] | None = None
     if annotation is not None and document is not None and labelled is not None:

@@ -41,6 +41,7 @@ def machine_code(folder: Path) -> set[str]:
 
 
 @pytest.mark.whole
+@pytest.mark.slow
 def test_a_room_that_nobody_saw_compiles_nothing_more(tmp_path: Path) -> None:
     code = tmp_path / "code"
     around = {**os.environ, "NUMBA_CACHE_DIR": str(code), "METASCENES_CACHE": str(tmp_path / "cache")}

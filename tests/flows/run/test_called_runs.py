@@ -144,6 +144,7 @@ def test_captions_name_their_calls_and_explain_goes_on_to_the_prompt(whole: Lake
     assert json.loads(json.dumps(lineage.document()))
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_asks_nothing_twice_but_what_was_under_way(scans: Path, whole: Lake, server: Server, tmp_path: Path) -> None:
     server.answers = [answering(0.3)]
     config, lake = settings_file(tmp_path, server), tmp_path / "lake"

@@ -183,7 +183,8 @@ def test_no_part_of_a_copy_is_taken_for_the_scan_and_the_whole_is(case: tuple[di
         if there == whole:
             assert own == {f"{dataset}/scene0007_00": "new"}
         elif temporary or not could_be_meant_so(there, whole):
-            assert set(own.values()) == {"waiting"}, sorted(there)
+            # A folder that looks like no scan yet is passed over.
+            assert set(own.values()) <= {"waiting"}, sorted(there)
         for path in there:
             (copy / path).unlink()
         shutil.rmtree(copy)

@@ -103,6 +103,7 @@ def test_an_example_is_a_crop_whose_pixels_are_somebodys() -> None:
 
 
 @pytest.mark.whole
+@pytest.mark.slow
 def test_a_training_is_the_same_bytes_also_after_a_kill_and_learns() -> None:
     torch = pytest.importorskip("torch")
     pytest.importorskip("lightning_fabric")
@@ -133,6 +134,7 @@ def test_an_untrained_network_is_asked_of_frames_of_any_size() -> None:
 
 
 @pytest.mark.whole
+@pytest.mark.slow
 def test_both_members_see_the_same_frames_and_a_network_that_learned_nothing_misses_its_goal() -> None:
     pytest.importorskip("torch")
     pytest.importorskip("lightning_fabric")
