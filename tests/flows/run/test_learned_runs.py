@@ -158,7 +158,7 @@ def ran(scans: Path, lake: Path, config: Path, weights: Path) -> Lake:
 
 @pytest.mark.parametrize(
     ("scenes", "kills"),
-    [pytest.param(2, 2, marks=pytest.mark.whole), pytest.param(20, 10, marks=[pytest.mark.slow, pytest.mark.timeout(7200)])],
+    [pytest.param(2, 2, marks=pytest.mark.slow), pytest.param(20, 10, marks=[pytest.mark.slow, pytest.mark.timeout(7200)])],
 )
 def test_a_run_of_models_alone_that_is_killed_comes_to_the_same_lake(
     tmp_path: Path, seer: Seer, weights: Path, scenes: int, kills: int
