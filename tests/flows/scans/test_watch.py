@@ -28,7 +28,8 @@ from flows.run.plan import make_plan
 from flows.scans.arrivals import ATTEMPTS, HERE, PATIENCE, Arrival, Look, look, remember, request_key, watch_report
 from flows.scans.choice import DAY_SECONDS
 from flows.server.artifacts import artifact_key
-from tasks.capture.formats import find_scans
+from tasks.capture.formats import FORMATS, find_scans
+from tasks.capture.likeness import likeness
 from tasks.capture.wholeness import find_gap, is_temporary
 from tests.capture_scans import box_room, write_posed_rgbd, write_scannet
 from tests.conftest import REPOSITORY
@@ -183,8 +184,8 @@ def test_no_part_of_a_copy_is_taken_for_the_scan_and_the_whole_is(case: tuple[di
         if there == whole:
             assert own == {f"{dataset}/scene0007_00": "new"}
         elif temporary or not could_be_meant_so(there, whole):
-            # A folder that looks like no scan yet is passed over.
             assert set(own.values()) <= {"waiting"}, sorted(there)
+            assert own or likeness(copy, FORMATS) is None, "only a folder that looks like no scan yet is passed over"
         for path in there:
             (copy / path).unlink()
         shutil.rmtree(copy)
