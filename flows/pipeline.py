@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from prefect import flow, task
+from prefect import task
 from prefect.cache_policies import NO_CACHE
 from prefect.states import Completed, Failed, State
 from prefect.tasks import exponential_backoff
@@ -32,7 +32,7 @@ from flows.run.identity import sentence
 from flows.run.ledger import CallRules
 from flows.run.limits import LIMITED
 from flows.run.outcome import MAX_NOTES
-from flows.run.parameters import Address, StageTables
+from flows.run.parameters import Address, StageTables, stages_flow
 from flows.run.patience import patiently
 from flows.run.plan import Plan, ScenePlan, make_plan, planned_again
 from flows.run.report import RunReport, broken_checks, keep, report_of
@@ -183,7 +183,7 @@ def _name() -> str:
     return flow_run_name(parameters["scans"], parameters["lake"], dataset=parameters.get("dataset"))
 
 
-@flow(name="replicate", flow_run_name=_name, persist_result=False, validate_parameters=True)
+@stages_flow(name="replicate", flow_run_name=_name, persist_result=False, validate_parameters=True)
 def replicate(
     scans: Address,
     lake: Address,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from prefect import flow, task
+from prefect import task
 from prefect.cache_policies import NO_CACHE
 from prefect.states import Completed, Failed
 
@@ -16,7 +16,7 @@ from flows.comparison.planning import SYSTEM, ComparedTraining, asked_comparison
 from flows.evaluation.acting import ActIn, PlannedScene
 from flows.evaluation.flow import ACTING
 from flows.progress import current
-from flows.run.parameters import Address, StageTables
+from flows.run.parameters import Address, StageTables, stages_flow
 from flows.run.patience import patiently
 from flows.server.artifacts import run_log, short_name
 from flows.server.here import keep
@@ -68,7 +68,7 @@ def _name() -> str:
     return f"{', '.join(parameters['train'])} tested on {', '.join(parameters['test'])} of {short_name(parameters['lake'])}"
 
 
-@flow(name="compare", flow_run_name=_name, persist_result=False, validate_parameters=True)
+@stages_flow(name="compare", flow_run_name=_name, persist_result=False, validate_parameters=True)
 def compare(
     lake: Address,
     train: list[str],

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from prefect import flow
 from prefect.states import Completed, Failed, State
 
 from flows.evaluation.acting import PlannedScene, act, evaluated, planned_policy
 from flows.evaluation.measuring import Evaluated, evaluation_config
 from flows.run.configuration import configure
-from flows.run.parameters import Address, StageTables
+from flows.run.parameters import Address, StageTables, stages_flow
 from flows.run.patience import patiently
 from flows.run.scene import STAGE_SECONDS
 from flows.server.artifacts import run_log, short_name
@@ -43,7 +42,7 @@ def _name() -> str:
     return f"{', '.join(parameters['policies'])} in {short_name(parameters['lake'])}"
 
 
-@flow(name="evaluate", flow_run_name=_name, persist_result=False, validate_parameters=True)
+@stages_flow(name="evaluate", flow_run_name=_name, persist_result=False, validate_parameters=True)
 def evaluate(
     lake: Address,
     policies: list[str] = ["navigation"],  # noqa: B006  # a default that Prefect's form shows; it is never changed

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from prefect import flow
 from prefect.states import Completed, Failed, State
 
 from flows.evaluation.acting import evaluated, planned_policy
 from flows.evaluation.flow import ACTING
 from flows.robot.driving import STAGE, Driven, PlannedDrive, batches_of, drive_scene, driven, planned_drives
 from flows.run.configuration import configure
-from flows.run.parameters import Address, StageTables
+from flows.run.parameters import Address, StageTables, stages_flow
 from flows.run.patience import patiently
 from flows.run.scene import STAGE_SECONDS
 from flows.server.artifacts import run_log, short_name
@@ -43,7 +42,7 @@ def _name() -> str:
     return f"cart on {', '.join([*parameters['policies'], *parameters['batches']])} in {short_name(parameters['lake'])}"
 
 
-@flow(name="drive", flow_run_name=_name, persist_result=False, validate_parameters=True)
+@stages_flow(name="drive", flow_run_name=_name, persist_result=False, validate_parameters=True)
 def drive(
     lake: Address,
     policies: list[str] = [POLICIES[0]],  # noqa: B006  # a default that Prefect's form shows; it is never changed

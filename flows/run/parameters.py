@@ -6,11 +6,15 @@ can say (rules between fields) is checked when the run starts, by the same code 
 
 from __future__ import annotations
 
+import contextlib
+import functools
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any, TypeAlias
 
-from pydantic import AfterValidator, WithJsonSchema
+from prefect import flow
+from pydantic import AfterValidator, GetJsonSchemaHandler, WithJsonSchema
 from pydantic.json_schema import GenerateJsonSchema
-from pydantic_core.core_schema import WithDefaultSchema
+from pydantic_core.core_schema import CoreSchema, WithDefaultSchema
 
 from flows.run.configuration import configs_with
 from schemas.errors import LakeError, check_address
@@ -19,7 +23,41 @@ from tasks.settings import Config, adapter, paragraphs, plain
 
 Schema: TypeAlias = dict[str, Any]
 
+_declared = 0
+"""Flows that are being declared: Prefect asks each for a schema that only deployments need, and asks again for those."""
 
+
+def stages_flow(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Declare a Prefect flow that takes `StageTables`, without their schema, which costs a second and more.
+
+    `prefect.flow` takes the same options. `Flow.parameters` has no fields of stages; a deployment has them.
+    """
+
+    def declare(function: Callable[..., Any]) -> Any:
+        with _declaring():
+            return flow(**options)(function)
+
+    return declare
+
+
+@contextlib.contextmanager
+def _declaring() -> Iterator[None]:
+    global _declared
+    _declared += 1
+    try:
+        yield
+    finally:
+        _declared -= 1
+
+
+class _StagesSchema:
+    """JSON Schema of `StageTables`, for an annotation."""
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Schema:
+        return {"type": "object"} if _declared else dict(stages_schema())
+
+
+@functools.cache
 def stages_schema() -> Schema:
     """JSON Schema of `StageTables`: for each stage a table of its config's fields, with types, limits, defaults and their reasons.
 
@@ -110,5 +148,5 @@ Address = Annotated[
 ]
 """A folder or s3://bucket/prefix without credentials; the server refuses others before it writes a run down."""
 
-StageTables = Annotated[dict[str, dict[str, Any]], AfterValidator(checked_tables), WithJsonSchema(stages_schema())]
+StageTables = Annotated[dict[str, dict[str, Any]], AfterValidator(checked_tables), _StagesSchema()]
 """A table of fields for each stage that is told anything, as in a TOML file: `{"navigation": {"max_steps": 250}}`."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flows.server.access import prefect_home
+from flows.server.database import sqlite_file
 from flows.server.records import KEPT_TABLES, PrefectDatabase
 from warehouse.questions.quoting import listed, literal
 from warehouse.upkeep.erasure import Traces
@@ -127,7 +128,9 @@ class _Places:
         address = url.get_secret_value() if url is not None else ""
         home = Path(settings.home).expanduser()
         storage = Path(settings.results.local_storage_path or home / "storage").expanduser()
-        return cls(home, storage, _sqlite_file(address), address, str(settings.api.url or ""))
+        file = sqlite_file(address)
+        database = file if file is not None and file.is_file() else None
+        return cls(home, storage, database, address, str(settings.api.url or ""))
 
     @property
     def database_files(self) -> tuple[Path, ...]:
@@ -272,13 +275,6 @@ def _pattern(names: Collection[str]) -> str:
     ordered = sorted(names, key=lambda name: (-len(name), name))
     start = r"((?<![A-Za-z0-9])|(?<=\\[bfnrt])|(?<=\\u[0-9A-Fa-f]{4}))"  # as in Traces: an escape of JSON is no letter
     return f"{start}({'|'.join(map(re.escape, ordered))})(?![A-Za-z0-9])" if ordered else "(?!)"
-
-
-def _sqlite_file(url: str) -> Path | None:
-    """The file that a connection URL names; None for other databases, for one in memory, and if there is no such file."""
-    kind, _, name = url.partition(":///")
-    file = Path(urllib.parse.unquote(name.removeprefix("file:").partition("?")[0]))
-    return file if kind.startswith("sqlite") and name and ":memory:" not in name and file.is_file() else None
 
 
 def _tells(path: Path, traces: Traces) -> bool:

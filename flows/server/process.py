@@ -39,7 +39,7 @@ from schemas.errors import InputError, LakeError
 from schemas.machine.loopback import bypass_proxies
 
 START_SECONDS = 120
-"""First start on a machine migrates an empty database: 10 s on two idle cores, much more on busy ones."""
+"""The first start of an installation migrates an empty database: 10 s on two idle cores, much more on busy ones."""
 
 DATABASE = "PREFECT_API_DATABASE_CONNECTION_URL"
 SHORTEST_SECRET = 4
@@ -57,6 +57,9 @@ QUIET = {
     "PREFECT_CLI_PROMPT": "false",
 }
 """No telemetry; and on the command line the lake's own words instead of Prefect's log. What a user set stays as it is."""
+
+OF_A_RUN = {"PREFECT_SERVER_REGISTER_BLOCKS_ON_START": "false"}
+"""Settings of the server of one run: 54 types of blocks are registered by servers that stay, which people ask for them."""
 
 NAMED = {name: value for name, value in QUIET.items() if "LOGGING" not in name} | {"PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL": "CRITICAL"}
 """The same where the server is somebody's own: it keeps the log of the run, and the command line does not print it."""
@@ -97,7 +100,7 @@ def prefect_server(meanwhile: Callable[[], object] = lambda: None) -> Iterator[s
             port = listener.getsockname()[1]
             process = subprocess.Popen(
                 [sys.executable, "-m", "flows.server", "--socket", str(listener.fileno()), "--follow", str(os.getpid())],
-                env={**os.environ, SERVER_TOKEN: token},
+                env={**OF_A_RUN, **os.environ, SERVER_TOKEN: token},
                 pass_fds=[listener.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -232,6 +235,9 @@ def serve(host: str, port: int, descriptor: int | None = None) -> None:
     os.environ.setdefault("PREFECT_SERVER_UI_API_URL", f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{port}/api")
     os.environ[ORIGINS] = ",".join(own_origins(port, os.environ))
     prefect_home().mkdir(parents=True, exist_ok=True, mode=0o700)
+    from flows.server.database import place_database
+
+    place_database()
     close_home(os.environ.get(DATABASE, ""))
     from prefect.server.api.server import create_app
 

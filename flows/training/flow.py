@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from prefect import flow
 from prefect.states import Completed
 
-from flows.run.parameters import Address, StageTables
+from flows.run.parameters import Address, StageTables, stages_flow
 from flows.run.patience import patiently
 from flows.server.artifacts import run_log, short_name
 from flows.training.models import system_names
@@ -38,7 +37,7 @@ def _name() -> str:
     return f"{', '.join(parameters.get('systems') or ()) or 'all systems'} on {on} of {short_name(parameters['lake'])}"
 
 
-@flow(name="train", flow_run_name=_name, persist_result=False, timeout_seconds=HOURS * 3600, validate_parameters=True)
+@stages_flow(name="train", flow_run_name=_name, persist_result=False, timeout_seconds=HOURS * 3600, validate_parameters=True)
 def train(
     lake: Address,
     systems: list[System] = [],  # noqa: B006  # a default that Prefect's form shows; it is never changed

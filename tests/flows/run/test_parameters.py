@@ -288,6 +288,18 @@ def test_prefect_makes_the_same_schema_of_a_flow_and_refuses_by_the_same_rules()
         takes_tables.validate_parameters({"stages": {"navigation": {"stop_m": 4.0}}})
 
 
+def test_a_deployment_of_a_flow_has_the_schema_and_its_import_does_not_make_it() -> None:
+    code = (
+        "from flows.pipeline import replicate; from flows.run import parameters\n"
+        "from prefect.utilities.callables import parameter_schema\n"
+        "assert parameters.stages_schema.cache_info().currsize == 0\n"
+        "assert replicate.parameters.properties['stages']['type'] == 'object'\n"
+        "print(*parameter_schema(replicate).properties['stages']['properties'])"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY).stdout.split()
+    assert told == list(SCHEMA["properties"])
+
+
 def test_the_command_line_does_not_pay_for_it() -> None:
     code = "import sys, flows.cli; print(*sorted(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY).stdout.split()

@@ -1,0 +1,85 @@
+"""The SQLite database of a new Prefect home: a copy of one that was migrated once for all homes of an installation.
+
+Prefect carries out more than a hundred migrations on an empty database, which costs a first start most of its time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import sqlite3
+import tempfile
+import urllib.parse
+from importlib.metadata import version
+from pathlib import Path
+
+from flows.run.fingerprints import cache_folder
+from schemas.files import making
+
+
+def place_database() -> Path | None:
+    """Copy the migrated database to where the settings name a SQLite file that does not exist.
+
+    Returns:
+        The new file. None if one exists, or the database is of another kind, or no copy could be made: Prefect then
+        migrates as it does everywhere.
+    """
+    from prefect.settings import Settings
+
+    url = Settings().server.database.connection_url
+    file = sqlite_file(url.get_secret_value() if url is not None else "")
+    if file is None or file.exists():
+        return None
+    with contextlib.suppress(OSError, sqlite3.Error):
+        template = _template()
+        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        with tempfile.TemporaryDirectory(dir=file.parent, prefix=".database-") as folder:
+            copy = Path(folder, file.name)
+            shutil.copyfile(template, copy)
+            copy.chmod(0o600)
+            os.link(copy, file)  # fails if another server made one meanwhile
+        return file
+    return None
+
+
+def sqlite_file(url: str) -> Path | None:
+    """File that a connection URL names; None for other databases and for one in memory."""
+    kind, _, name = url.partition(":///")
+    file = Path(urllib.parse.unquote(name.removeprefix("file:").partition("?")[0]))
+    return file if kind.startswith("sqlite") and name and ":memory:" not in name else None
+
+
+def _template() -> Path:
+    """The migrated database of the installed version of Prefect: among the compiled modules, else in the user's cache.
+
+    Raises:
+        OSError: neither folder can be written.
+    """
+    name = f"prefect-{version('prefect')}.db"
+    places = (Path(__file__).with_name("__pycache__") / name, cache_folder() / name)
+    for place in places:
+        if place.is_file():
+            return place
+    with tempfile.TemporaryDirectory() as folder:
+        migrated = Path(folder, name)
+        _migrate(migrated)
+        for place in places:
+            with contextlib.suppress(OSError), making(place) as unfinished:
+                shutil.copyfile(migrated, unfinished)
+                return place
+    raise OSError(f"{places[-1]} cannot be written")
+
+
+def _migrate(file: Path) -> None:
+    """Carry out Prefect's migrations on a new file, and leave all of its content in that one file."""
+    import asyncio
+
+    from prefect.server.database import provide_database_interface
+    from prefect.server.database.configurations import AioSqliteConfiguration
+    from prefect.server.database.dependencies import temporary_database_config
+
+    with temporary_database_config(AioSqliteConfiguration(f"sqlite+aiosqlite:///{file}")):
+        asyncio.run(provide_database_interface().create_db())
+    with contextlib.closing(sqlite3.connect(file, isolation_level=None)) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
