@@ -394,6 +394,7 @@ def test_a_watch_knows_when_a_scan_of_a_further_format_is_whole(command: Do, pla
         toy.write_text(before)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_further_members_make_rows_that_the_schemas_take(command: Do, lake: Path) -> None:
     assert answer(command, lake, "SELECT scene_id, room_id, scan_format FROM scenes") == [["toys/room_1", "toys/room", "toy_scan"]]

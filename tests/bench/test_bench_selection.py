@@ -189,6 +189,7 @@ def test_choices_are_those_of_the_rule(data: SelectionData) -> None:
     assert agree / total > 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_same_seed_gives_the_same_rows_blobs_and_truth(data: SelectionData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rooms, "OBJECTS", FEW)

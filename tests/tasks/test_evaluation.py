@@ -752,6 +752,7 @@ def test_a_robot_that_moves_otherwise_than_the_episodes_is_refused(lake: Lake) -
         run_policy(lake, "expert", configure(settings=["evaluation.forward_m=0.5"]))
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_command_says_how_well_and_exits_as_a_scheduler_expects(lake: Lake, tmp_path: Path) -> None:
     def ask(*words: str) -> subprocess.CompletedProcess[str]:

@@ -181,6 +181,7 @@ def test_a_budget_stops_a_run_and_the_next_one_goes_on(scans: Path, whole: Lake,
     assert digests(Lake.open(lake).snapshot()) == digests(whole.snapshot())
 
 
+@pytest.mark.slow
 def test_a_run_is_replayed_without_a_network(scans: Path, whole: Lake, server: Server, tmp_path: Path) -> None:
     config, lake = settings_file(tmp_path, server), tmp_path / "lake"
     ran(scans, lake, config, "--replay", whole.address)

@@ -82,7 +82,7 @@ def view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ask]:
     return opened
 
 
-@pytest.mark.parametrize("shown", ["last", "snapshot", "release"])
+@pytest.mark.parametrize("shown", ["last", pytest.param("snapshot", marks=pytest.mark.slow), "release"])
 @pytest.mark.parametrize("others", [pytest.param("idle", marks=pytest.mark.slow), "commit before"])
 def test_an_open_viewer_forgets_an_erased_scene(tmp_path: Path, view: Callable[..., Ask], shown: str, others: str) -> None:
     lake = shown_lake(tmp_path)

@@ -168,6 +168,7 @@ def one_kind(count: int) -> list[Layout]:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize("name", ["transformer", pytest.param("unet alike", marks=pytest.mark.slow), "atiss"])
 def test_what_is_drawn_is_as_what_was_learned(name: str) -> None:

@@ -122,6 +122,7 @@ def test_nothing_goes_on_from_what_senses_something_else_though_its_weights_fit(
         NAVIGATION.continues(identity_json(deep), sent, "model 0123")
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_few_walks_are_learned_by_heart_and_walked() -> None:
     """On the rooms that it learned from a policy tells every action, and acts as the expert does."""

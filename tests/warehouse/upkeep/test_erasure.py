@@ -458,10 +458,15 @@ def kept(lake: Lake) -> list[Any]:
     [
         *(
             pytest.param(*case, marks=pytest.mark.slow)
-            for case in [("_remove_staged", "idle"), ("_put_in_force", "idle"), ("_put_in_force", "commit"), ("_remove_blobs", "idle")]
+            for case in [
+                ("_remove_staged", "idle"),
+                ("_put_in_force", "idle"),
+                ("_put_in_force", "commit"),
+                ("_remove_blobs", "idle"),
+                ("final", "commit"),
+            ]
         ),
         ("_put_in_force", "release"),
-        ("final", "commit"),
     ],
 )
 def test_a_repeated_erasure_keeps_the_snapshots_of_an_undisturbed_one(
@@ -503,7 +508,7 @@ def test_a_repeated_erasure_keeps_the_snapshots_of_an_undisturbed_one(
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("step", ["_remove_staged", "_put_in_force"])
+@pytest.mark.parametrize("step", [pytest.param("_remove_staged", marks=pytest.mark.slow), "_put_in_force"])
 def test_the_plan_of_an_earlier_version_is_carried_out(filled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
     """It does not say which snapshot was the last one: an older erasure's snapshot is not taken for its own."""
     shutil.copytree(filled, tmp_path / "lake")

@@ -71,7 +71,7 @@ def test_frames_of_a_video_are_those_of_its_images(tmp_path: Path) -> None:
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("images", [2, 5])
+@pytest.mark.parametrize("images", [pytest.param(2, marks=pytest.mark.slow), 5])
 def test_a_video_of_another_length_is_named(images: int, tmp_path: Path) -> None:
     write_recording(tmp_path / "a", images)
     reading = read(tmp_path)
@@ -79,6 +79,7 @@ def test_a_video_of_another_length_is_named(images: int, tmp_path: Path) -> None
     assert any(f"rgb.mp4: has {images} frames, depth has numbers up to 2" in note for note in reading.degradations)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_of_a_long_video_every_so_many_frames_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_recording(tmp_path / "a")
@@ -89,7 +90,14 @@ def test_of_a_long_video_every_so_many_frames_are_used(tmp_path: Path, monkeypat
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("content", [b"", b"ftyp", bytes(4000), b"\0\0\0\x18ftypisom" + bytes(range(256)) * 20])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        *(pytest.param(content, marks=pytest.mark.slow) for content in (b"ftyp", bytes(4000))),
+        b"\0\0\0\x18ftypisom" + bytes(range(256)) * 20,
+    ],
+)
 def test_a_broken_video_is_refused(content: bytes, tmp_path: Path) -> None:
     write_stray_scanner(tmp_path / "a", sample().frames, is_extracted=False)
     (tmp_path / "a" / "rgb.mp4").write_bytes(content)

@@ -178,6 +178,7 @@ def test_withheld_poses_are_found_and_rows_say_so(filmed: RoomFilm, python: str,
     assert {row.pose_source for row in outcome.rows["frames"]} == {"estimated"}
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_poses_that_drift_are_refined_in_their_own_frame(filmed: RoomFilm, python: str, tmp_path: Path) -> None:
     off = drifted(filmed.poses, 0.08, np.random.default_rng(2))
