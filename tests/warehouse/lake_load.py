@@ -140,8 +140,8 @@ def crashes(prepared: Path, folder: Path, stride: int) -> None:
 
         def again(copy: Path = copy) -> None:
             lake = Lake.open(copy)
-            lake.commit("again", timeout=20)
-            lake.sweep(timeout=20)
+            lake.commit("again", timeout=300)
+            lake.sweep(timeout=300)
             look("after")
 
         code = _forked(dying)

@@ -43,7 +43,7 @@ def ask(place: tuple[dict[str, str], Path, Path]) -> Ask:
     """Runs a command as a process, as a shell does."""
 
     def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-        return metascenes(place[0], *arguments, timeout=120)
+        return metascenes(place[0], *arguments, timeout=600)
 
     return run
 
@@ -93,7 +93,7 @@ def test_help_and_version_answer_without_the_heavy_packages() -> None:
         "try: cli(['--help'], prog_name='metascenes')\nexcept SystemExit as end: assert end.code == 0\n"
         "print('heavy:', sorted({'prefect', 'duckdb', 'deltalake', 'numpy', 'pyarrow', 'pxr', 'numba'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "heavy: []"
     assert all(name in done.stdout for name in COMMANDS)
@@ -182,7 +182,7 @@ def test_answers_in_every_form_say_the_same(ask: Ask, place: tuple[dict[str, str
     assert rows[0] == names
     assert [(*row[:3], float(row[3]) if row[3] else None) for row in rows[1:]] == expected
     command = [sys.executable, "-m", "flows.cli", "sql", QUESTION, "--lake", str(lake), "--output", "parquet"]
-    raw = subprocess.run(command, env=place[0], capture_output=True, timeout=120)
+    raw = subprocess.run(command, env=place[0], capture_output=True, timeout=600)
     assert (raw.returncode, raw.stderr) == (0, b"")
     table = pq.read_table(io.BytesIO(raw.stdout))
     assert table.column_names == names

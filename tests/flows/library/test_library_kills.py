@@ -63,7 +63,7 @@ def test_an_indexing_that_is_killed_goes_on_with_what_is_missing(tmp_path: Path,
         assert time.monotonic() < give_up
         time.sleep(0.01)
     os.kill(killed.pid, signal.SIGKILL)
-    killed.communicate(timeout=60)
+    killed.communicate(timeout=600)
     assert Lake.open(lake).snapshot().rows(IndexedLibrary) == []
     made = {path: path.stat().st_mtime_ns for path in cache.glob("modules/tasks.library.indexing-*/entry-*")}
     assert len(made) >= 3

@@ -557,7 +557,7 @@ def test_a_real_run_is_seen_from_beginning_to_end(home: dict[str, str], tmp_path
     def status() -> dict[str, Any]:
         time.sleep(0.5)  # leave the processors to the run
         command = [sys.executable, "-m", "flows.cli", "status", "--json", "--lake", lake.address]
-        done = subprocess.run(command, env=home, capture_output=True, text=True, timeout=120)
+        done = subprocess.run(command, env=home, capture_output=True, text=True, timeout=600)
         return dict(json.loads(done.stdout)) if done.returncode == 0 else {"running": [], "runs": []}
 
     process = start(home, tmp_path / "lake", tmp_path / "scans")

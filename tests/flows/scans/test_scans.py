@@ -484,7 +484,7 @@ def test_two_processes_at_once_and_one_that_is_killed(server: S3, cache: Path, t
     killed.kill()
     killed.wait()
     both = [subprocess.Popen(command, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    said = [process.communicate(timeout=120)[0].split() for process in both]
+    said = [process.communicate(timeout=600)[0].split() for process in both]
     hashes = FileHashes(tmp_path / "own.json")
     expected = [hashes.tree(scan.path, scan_files(scan)) for scan in find_scans(local)[0]]
     assert said == [expected, expected]

@@ -655,7 +655,7 @@ def test_a_deployment_is_asked_once_for_what_was_found(prefect: PrefectServer, t
     assert cancelled["report"]["asked"] == ["scannet/scene0000_00"], "its run was cancelled, the other's is under way"
     assert len(cancelled["runs"]) == 3
     request = urllib.request.Request(f"{prefect.url}/artifacts/filter", b"{}", {"Content-Type": "application/json", **prefect.header})
-    with urllib.request.urlopen(request, timeout=60) as reply:
+    with urllib.request.urlopen(request, timeout=600) as reply:
         artifacts = [one for one in json.load(reply) if one["key"] == artifact_key("arrivals", str(tmp_path / "lake"))]
     tables = [json.loads(one["data"]) for one in sorted(artifacts, key=lambda one: one["created"])]
     assert [(row["scan"], row["state"]) for row in tables[0]] == [("scannet/scene0000_00", "new")]

@@ -51,7 +51,7 @@ def asked(server: PrefectServer, path: str, **body: Any) -> Any:
     """What the server's API answers."""
     headers = {"Content-Type": "application/json", **server.header}
     request = urllib.request.Request(f"{server.url}/{path}", json.dumps(body).encode(), headers)
-    with urllib.request.urlopen(request, timeout=60) as reply:
+    with urllib.request.urlopen(request, timeout=600) as reply:
         return json.load(reply)
 
 

@@ -122,7 +122,7 @@ if __name__ == "__main__":
 def test_the_watch_sees_children_names_datagrams_and_native_code(watched: tuple[dict[str, str], Lines], tmp_path: Path) -> None:
     environment, seen = watched
     (tmp_path / "reaches.py").write_text(REACHES)
-    done = subprocess.run([sys.executable, str(tmp_path / "reaches.py")], env=environment, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, str(tmp_path / "reaches.py")], env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     assert {"connect 192.0.2.1", "getaddrinfo example.org", "sendto 2001:db8::1", "connect 192.0.2.7"} <= set(seen())
 
@@ -272,5 +272,5 @@ def test_our_servers_listen_on_the_loopback_alone(kind: str, tmp_path: Path) -> 
     finally:
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=300)
-    psutil.wait_procs(below, timeout=120)
+    psutil.wait_procs(below, timeout=600)
     assert not [each for each in below if each.is_running() and each.status() != psutil.STATUS_ZOMBIE]

@@ -199,7 +199,7 @@ with postgres_server(Path(sys.argv[1])) as postgres, s3_server() as s3:
 
 
 def test_services_die_with_the_process_that_started_them(tmp_path: Path) -> None:
-    died = subprocess.run([sys.executable, "-c", DIES, str(tmp_path)], cwd=REPOSITORY, capture_output=True, text=True, timeout=120)
+    died = subprocess.run([sys.executable, "-c", DIES, str(tmp_path)], cwd=REPOSITORY, capture_output=True, text=True, timeout=600)
     processes = [int(number) for number in died.stdout.split()]
     assert died.returncode == -9
     assert len(processes) > 2, died.stderr

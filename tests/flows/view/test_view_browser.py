@@ -350,14 +350,14 @@ def test_without_the_cookie_a_page_of_another_server_gets_nothing(browser: Brows
 def test_a_port_that_is_taken_is_named(address: str, lake: Lake) -> None:
     port = address.rpartition(":")[2].partition("/")[0]
     command = [sys.executable, "-m", "flows.cli", "view", "--lake", lake.address, "--no-browser", "--port", port]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert (ran.returncode, ran.stdout) == (2, "")
     assert ran.stderr == f"metascenes: 127.0.0.1:{port}: --port: cannot be had (Address already in use); leave --port away for a free one\n"
 
 
 def test_a_scene_that_is_not_there_is_named(lake: Lake, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "flows.cli", "view", "demo/none", "--lake", lake.address, "--out", str(tmp_path / "x.html")]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert (ran.returncode, ran.stdout) == (2, "")
     assert "demo/none: there is no such scene" in ran.stderr
 

@@ -156,7 +156,7 @@ def test_an_empty_lake_has_charts_too(tmp_path: Path) -> None:
 @pytest.mark.whole
 def test_it_is_a_script_that_stores_no_answers(lake: Lake) -> None:
     environment = os.environ | {"METASCENES_LAKE": lake.address, "PYTHONPATH": str(REPOSITORY)}
-    done = subprocess.run([sys.executable, str(FILE)], capture_output=True, text=True, env=environment, check=False, timeout=120)
+    done = subprocess.run([sys.executable, str(FILE)], capture_output=True, text=True, env=environment, check=False, timeout=600)
     assert done.returncode == 0, done.stderr
     assert "'scenes': 30" in done.stdout
     assert FILE.stat().st_size < 20_000

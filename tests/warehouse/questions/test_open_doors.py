@@ -221,7 +221,7 @@ def test_polars_reads_delta_tables_at_a_version(home: Path, snapshot_id: int) ->
 def shell(text: str, *options: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """What DuckDB's own shell, of another version than ours, makes of SQL."""
     command = [str(BIN / "duckdb"), "-no-init", "-batch", "-bail", *options]
-    return subprocess.run(command, input=text, capture_output=True, text=True, cwd=folder, check=False, timeout=120)
+    return subprocess.run(command, input=text, capture_output=True, text=True, cwd=folder, check=False, timeout=600)
 
 
 def copied(home: Path, folder: Path, sources: Mapping[str, list[str]], before: str = "") -> dict[str, pa.Table]:

@@ -58,11 +58,11 @@ def _work(command: list[str], copy: Path, folder: Path) -> Callable[[], Any]:
         case ["erase", scene]:
             from warehouse.upkeep.erasure import erase
 
-            return lambda: erase(lake, scene, timeout=20)
+            return lambda: erase(lake, scene, timeout=300)
         case ["compact"]:
             from warehouse.upkeep.compaction import compact
 
-            return lambda: compact(lake, timeout=20)
+            return lambda: compact(lake, timeout=300)
         case ["vacuum"]:
             from warehouse.upkeep.vacuum import vacuum
 
