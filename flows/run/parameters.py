@@ -11,7 +11,6 @@ import functools
 from collections.abc import Callable, Iterator
 from typing import Annotated, Any, TypeAlias
 
-from prefect import flow
 from pydantic import AfterValidator, GetJsonSchemaHandler, WithJsonSchema
 from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core.core_schema import CoreSchema, WithDefaultSchema
@@ -32,6 +31,8 @@ def stages_flow(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     `prefect.flow` takes the same options. `Flow.parameters` has no fields of stages; a deployment has them.
     """
+
+    from prefect import flow
 
     def declare(function: Callable[..., Any]) -> Any:
         with _declaring():
