@@ -85,8 +85,8 @@ class Shell:
         "Walls inside the outline as center lines with thickness and height (x0, y0, x1, y1, thickness, height)", unit="m"
     )
     openings: tuple[tuple[float, ...], ...] | None = column(
-        "Doors and windows in the walls: segment (x0, y0, x1, y1) on the inner face of an outer wall or the center line of an "
-        "interior one, heights of bottom and top, how far what fills it reaches behind that line; missing where nobody looked",
+        "Doors, windows and passages in the walls: segment (x0, y0, x1, y1) on the inner face of an outer wall or the center line of "
+        "an interior one, heights of bottom and top, how far a filling reaches behind that line, 0 for none; missing where nobody looked",
         unit="m",
     )
     lintels: tuple[tuple[float, ...], ...] | None = column(
