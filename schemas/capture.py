@@ -101,7 +101,8 @@ class Shell:
     )
     height_m: float = column("Height from floor to ceiling", unit="m", minimum=0.1)
     height_source: str = column(
-        "What the height was estimated from; layout is stated by a finished dataset", values=("ceiling", "walls", "extent", "layout")
+        "What the height was estimated from; layout is stated by a finished dataset, assumed is that of most rooms, where scans end lower",
+        values=("ceiling", "walls", "extent", "layout", "assumed"),
     )
     floor_color: tuple[int, ...] | None = column(
         "Median color of the floor in the scan, sRGB; missing when unseen", length=3, minimum=0, maximum=255

@@ -63,15 +63,17 @@ class StatedRoom:
 
     openings: corners of each opening without a door or window [m], shapes (n, 3).
     outline: corners of the floor in order [m], shape (n, 3); None if it has several parts or holes.
+    has_height: true if the file states how high its walls are.
     """
 
     openings: tuple[NDArray[np.float64], ...] = ()
     outline: NDArray[np.float64] | None = None
+    has_height: bool = False
 
     def moved(self, pose: NDArray[np.float64]) -> StatedRoom:
         """The same facts in another frame. pose: scan frame to that frame, 4x4 [m]."""
         outline = None if self.outline is None else transform_points(self.outline, pose)
-        return StatedRoom(tuple(transform_points(corners, pose) for corners in self.openings), outline)
+        return StatedRoom(tuple(transform_points(corners, pose) for corners in self.openings), outline, self.has_height)
 
 
 @dataclasses.dataclass(frozen=True)

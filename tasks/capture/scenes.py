@@ -30,9 +30,11 @@ from tasks.capture.leveling import aligned, height_notes, read_with_meanings
 from tasks.capture.poses.provider import PosesConfig, with_poses
 from tasks.capture.reading import FrameSource, Group, Reading, StatedRoom
 from tasks.capture.rooms.alignment import Alignment
+from tasks.capture.rooms.heights import with_plausible_height
 from tasks.capture.rooms.leaves import whole_leaves
 from tasks.capture.rooms.lintels import lintels
 from tasks.capture.rooms.openings import wall_openings
+from tasks.capture.rooms.plausibility import size_notes
 from tasks.capture.rooms.room import estimate_room, floor_points
 from tasks.capture.rooms.rows import parted
 from tasks.capture.rooms.separation import Seen
@@ -99,8 +101,8 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         surface, fusion_notes = fused_surface(reading.frames, config.fusion, scan.path.name)
         notes += fusion_notes
     alignment = aligned(reading, surface, meanings, config.votes, is_authored=is_modelled)
-    notes += [*alignment.notes, *height_notes(reading.frames, alignment.pose)]
     world = surface.transformed(alignment.pose)
+    notes += [*alignment.notes, *height_notes(reading.frames, alignment.pose), *size_notes(world.vertices, scan.path.name)]
     notes += advice(stated_or_found(reading.levels, alignment.pose, world, config.storeys), scan.path)
     groups, probabilities = reading.groups, {}
     if groups is None:
@@ -336,8 +338,9 @@ def _shell(
     the whole [m], shape (8, 3)."""
     shape = estimate_room(cloud, classes, stated.outline)
     notes += shape.notes
-    if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
-        notes.append(f"no ceiling seen: height taken from the {shape.height_source}")
+    if not any(label.nyu40_id == CEILING for label in meanings):
+        shape, remarks = with_plausible_height(shape, is_modelled or stated.has_height)
+        notes += remarks
     fillings = {i: solids[i].points for i, label in enumerate(meanings) if label.nyu40_id in (DOOR, WINDOW) or _is_let_in(label)}
     lines, names = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].category.split() for i in fillings]
     is_door, of_house = [not name[-1].startswith("window") for name in names], [name[0] not in FURNITURE_WITH_DOORS for name in names]

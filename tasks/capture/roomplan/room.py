@@ -69,6 +69,7 @@ def room_reading(
         stated=StatedRoom(
             tuple(transform_points(corners_of(opening), opening.pose) for opening in listed["openings"]),
             outline_of_floors([floor.part for floor in storeys.floors]) if storeys.levels is None else None,
+            has_height=True,
         ),
     )
 

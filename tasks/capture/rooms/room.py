@@ -57,6 +57,9 @@ _AROUND_M = 0.15
 _MIN_SLANT_DEGREES, _MIN_SLANTED_M = 8.0, 0.2
 """Angle to the axes and length [m] from which on a stated edge is a wall of its own, not noise of walls along the axes."""
 
+NO_ROOM = "not a room: no walls are in the scan; those of its replica stand around the floor and the objects that it shows"
+"""Said of scans of things: a figure on a plate, a table."""
+
 _TALL_M = 1.2
 """Upright surface that nobody named is a wall where it is as high in one place: furniture behind it stands in another room."""
 
@@ -126,7 +129,9 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
     height, height_source = _height(cloud, kinds)
     plan = FloorCells.of(cloud, kinds, height)
     notes: list[str] = []
-    outline = plan.outline()
+    outline, lines = plan.outline(), [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
+    if not (nyu40 == WALL).any() and not any(map(len, lines)):
+        notes.append(NO_ROOM)
     if outline is None:
         low, high = (np.percentile(cloud.points[:, :2], q, axis=0) for q in (0.5, 99.5))
         high = np.maximum(high, low + 0.2)
@@ -134,7 +139,6 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
         notes.append("no floor to be seen: its polygon is the extent of the scan")
         area, walls, inner = float(np.prod(high - low)), _edges(polygon), np.zeros((0, 6))
         return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
-    lines = [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
     has_walls = bool((nyu40 == WALL).any()) or min(map(len, lines)) >= 2
     outline, missed = _with_furniture(outline, cloud, kinds, has_walls)
     if missed > 0.0:
