@@ -17,7 +17,7 @@ from tasks.capture.leveling import aligned, read_scan
 from tasks.capture.rooms.alignment import SeenLevel, align
 from tasks.capture.segmentation.votes import VoteConfig
 from tasks.capture.small_objects.lifting import DepthView, depth_noise
-from tasks.geometry.meshes import Surface
+from tasks.geometry.meshes import surface_of
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import look_at
 
@@ -69,8 +69,7 @@ def test_the_level_of_frames_comes_before_larger_tops(height: float) -> None:
     rng = np.random.default_rng(1)
     boxes = [trimesh.creation.box((0.3, 0.3, 0.0)).apply_translation([0.35 * i, 0.35 * j, height]) for i in range(3) for j in range(3)]
     table = trimesh.creation.box((0.6, 0.5, 0.0)).apply_translation([1.4, 0.3, 0.0])
-    mesh = trimesh.util.concatenate([table, *boxes])
-    surface = Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces), np.zeros((len(mesh.vertices), 3), dtype=np.uint8))
+    surface = surface_of([table, *boxes])
     points = np.column_stack([rng.uniform(1.1, 1.7, (500, 2)), rng.normal(0, 0.001, 500)])
     pose = align(surface, level=SeenLevel(np.array([0.0, 0.0, 1.0]), points)).pose
     assert abs(pose[2, 3]) < MAX_LEVEL_ERROR_M
@@ -80,7 +79,6 @@ def test_the_level_of_frames_comes_before_larger_tops(height: float) -> None:
 def test_a_floor_far_below_the_level_of_frames_is_the_floor() -> None:
     floor = trimesh.creation.box((3.0, 3.0, 0.0)).subdivide().subdivide()
     table = trimesh.creation.box((1.0, 1.0, 0.0)).subdivide().subdivide().apply_translation([0, 0, TOP_M])
-    mesh = trimesh.util.concatenate([floor, table])
-    surface = Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces), np.zeros((len(mesh.vertices), 3), dtype=np.uint8))
+    surface = surface_of([floor, table])
     points = np.column_stack([np.random.default_rng(1).uniform(-0.5, 0.5, (500, 2)), np.full(500, TOP_M)])
     assert abs(align(surface, level=SeenLevel(np.array([0.0, 0.0, 1.0]), points)).pose[2, 3]) < MAX_LEVEL_ERROR_M

@@ -11,7 +11,7 @@ import trimesh
 from tasks.capture import CaptureConfig, find_scans, run
 from tasks.capture.rooms.heights import ASSUMED_M
 from tasks.capture.rooms.plausibility import size_notes
-from tasks.geometry.meshes import Surface
+from tasks.geometry.meshes import Surface, surface_of
 from tasks.stage import Context, Outcome
 from tests.capture_scans import BoxRoom, box_room, ply_bytes, write_scannet
 
@@ -68,8 +68,7 @@ def test_a_figure_on_a_plate_is_reported_as_not_a_room(tmp_path: Path) -> None:
     plate = trimesh.creation.cylinder(0.9, 0.02, sections=24).apply_translation([0, 0, -0.01])
     body = trimesh.creation.capsule(0.9, 0.2).apply_translation([0, 0, 0.25])
     head = trimesh.creation.icosphere(radius=0.14).apply_translation([0, 0, 1.6])
-    mesh = trimesh.util.concatenate([part.subdivide_to_size(0.05) for part in (plate, body, head)])
-    surface = Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces), np.full((len(mesh.vertices), 3), 140, dtype=np.uint8))
+    surface = surface_of([part.subdivide_to_size(0.05) for part in (plate, body, head)])
     (tmp_path / "scans").mkdir()
     (tmp_path / "scans" / "figure.ply").write_bytes(ply_bytes(surface))
     outcome = captured(tmp_path / "scans")
