@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import shutil
 import sqlite3
-import tempfile
 import urllib.parse
 from importlib.metadata import version
 from pathlib import Path
 
 from flows.run.fingerprints import cache_folder
 from schemas.files import making
+from schemas.machine.scratch import temporary_folder
 
 
 def place_database() -> Path | None:
@@ -34,11 +35,13 @@ def place_database() -> Path | None:
     with contextlib.suppress(OSError, sqlite3.Error):
         template = _template()
         file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        with tempfile.TemporaryDirectory(dir=file.parent, prefix=".database-") as folder:
-            copy = Path(folder, file.name)
+        copy = file.with_name(f".{file.name}.{secrets.token_hex(6)}.making")
+        try:
             shutil.copyfile(template, copy)
             copy.chmod(0o600)
             os.link(copy, file)  # fails if another server made one meanwhile
+        finally:
+            copy.unlink(missing_ok=True)
         return file
     return None
 
@@ -61,8 +64,8 @@ def _template() -> Path:
     for place in places:
         if place.is_file():
             return place
-    with tempfile.TemporaryDirectory() as folder:
-        migrated = Path(folder, name)
+    with temporary_folder() as folder:
+        migrated = folder / name
         _migrate(migrated)
         for place in places:
             with contextlib.suppress(OSError), making(place) as unfinished:
