@@ -99,7 +99,7 @@ def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def short(seeds: Path) -> tuple[dict[str, Record], set[str]]:
     """What came of a few inputs for every target, and which functions sound ones come by."""
-    counts = {name: 4 if target.count == PARSER else 1 for name, target in targets().items()}
+    counts = {name: 6 if target.count == PARSER else 1 for name, target in targets().items()}
     records = {name: Record(name, count) for name, count in counts.items()}
     reached: set[str] = set()
     read_inputs(counts, 12, Reading(seeds, within=True), records, reached)
