@@ -6,9 +6,10 @@ can say (rules between fields) is checked when the run starts, by the same code 
 
 from __future__ import annotations
 
-import contextlib
+import copy
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextvars import ContextVar
 from typing import Annotated, Any, TypeAlias
 
 from pydantic import AfterValidator, GetJsonSchemaHandler, WithJsonSchema
@@ -22,8 +23,8 @@ from tasks.settings import Config, adapter, paragraphs, plain
 
 Schema: TypeAlias = dict[str, Any]
 
-_declared = 0
-"""Flows that are being declared: Prefect asks each for a schema that only deployments need, and asks again for those."""
+_is_declared: ContextVar[bool] = ContextVar("_is_declared", default=False)
+"""True while a flow is declared: Prefect asks for a schema then that only deployments need, and asks again for those."""
 
 
 def stages_flow(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -35,27 +36,20 @@ def stages_flow(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     from prefect import flow
 
     def declare(function: Callable[..., Any]) -> Any:
-        with _declaring():
+        mark = _is_declared.set(True)
+        try:
             return flow(**options)(function)
+        finally:
+            _is_declared.reset(mark)
 
     return declare
-
-
-@contextlib.contextmanager
-def _declaring() -> Iterator[None]:
-    global _declared
-    _declared += 1
-    try:
-        yield
-    finally:
-        _declared -= 1
 
 
 class _StagesSchema:
     """JSON Schema of `StageTables`, for an annotation."""
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Schema:
-        return {"type": "object"} if _declared else dict(stages_schema())
+        return {"type": "object"} if _is_declared.get() else copy.deepcopy(stages_schema())
 
 
 @functools.cache

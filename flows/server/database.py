@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from flows.run.fingerprints import cache_folder
-from schemas.files import making
+from schemas.files import write_whole
 from schemas.machine.scratch import temporary_folder
 
 
@@ -30,8 +30,8 @@ def place_database() -> Path | None:
 
     url = Settings().server.database.connection_url
     file = sqlite_file(url.get_secret_value() if url is not None else "")
-    if file is None or file.exists():
-        return None
+    if file is None or any(file.with_name(file.name + end).exists() for end in ("", "-wal", "-shm", "-journal")):
+        return None  # a log without its database would be replayed into the copy
     with contextlib.suppress(OSError, sqlite3.Error):
         template = _template()
         file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -57,21 +57,45 @@ def _template() -> Path:
     """The migrated database of the installed version of Prefect: among the compiled modules, else in the user's cache.
 
     Raises:
-        OSError: neither folder can be written.
+        OSError: neither folder can be written, or the migrations failed.
     """
     name = f"prefect-{version('prefect')}.db"
     places = (Path(__file__).with_name("__pycache__") / name, cache_folder() / name)
     for place in places:
-        if place.is_file():
+        if _is_sound(place):
             return place
+    writable = [place for place in places if _can_be_written(place.parent)]
+    if not writable:
+        raise OSError(f"{places[-1]} cannot be written")
     with temporary_folder() as folder:
         migrated = folder / name
-        _migrate(migrated)
-        for place in places:
-            with contextlib.suppress(OSError), making(place) as unfinished:
-                shutil.copyfile(migrated, unfinished)
+        try:
+            _migrate(migrated)
+        except Exception as error:  # of alembic or SQLAlchemy: Prefect tells of it where it migrates the home's own database
+            raise OSError(f"{migrated}: cannot be migrated") from error
+        for place in writable:
+            with contextlib.suppress(OSError):
+                write_whole(place, migrated.read_bytes())
                 return place
     raise OSError(f"{places[-1]} cannot be written")
+
+
+def _is_sound(file: Path) -> bool:
+    """True for a whole database that was migrated."""
+    if not file.is_file():
+        return False
+    with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(f"{file.as_uri()}?mode=ro&immutable=1", uri=True)) as known:
+        whole = known.execute("PRAGMA quick_check").fetchall() == [("ok",)]
+        return whole and bool(known.execute("SELECT * FROM alembic_version").fetchall())
+    return False
+
+
+def _can_be_written(folder: Path) -> bool:
+    """True if files can be made in a folder, which is made."""
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        return os.access(folder, os.W_OK)
+    return False
 
 
 def _migrate(file: Path) -> None:
@@ -85,4 +109,6 @@ def _migrate(file: Path) -> None:
     with temporary_database_config(AioSqliteConfiguration(f"sqlite+aiosqlite:///{file}")):
         asyncio.run(provide_database_interface().create_db())
     with contextlib.closing(sqlite3.connect(file, isolation_level=None)) as connection:
-        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        (busy, *_) = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+        if busy:
+            raise OSError(f"{file}: its log is in use")

@@ -201,7 +201,8 @@ def _up(faces: Facets, floor: Facets | None, seen: SeenLevel | None) -> tuple[Ar
     if seen is not None and len(seen.points):
         # The fused surface near the level has tops of things on it: only its own points tell how it lies.
         normal = fitted_normal(seen.facets, guesses[0])
-        return (normal if normal is not None and normal @ guesses[0] > np.cos(np.deg2rad(10)) else guesses[0]), []
+        if normal is not None and normal @ guesses[0] > np.cos(np.deg2rad(10)):
+            return normal, []
     for guess in guesses:
         up = gravity_aligned(faces, guess)
         turned = faces.turned(rotation_to_z(up))

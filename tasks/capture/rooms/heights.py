@@ -27,7 +27,8 @@ def with_plausible_height(shape: RoomShape, is_stated: bool) -> tuple[RoomShape,
     """
     if shape.height_source == "ceiling":
         return shape, []
-    if is_stated or not MIN_SCANNED_M <= shape.height < MIN_ROOM_M:
+    # Slanted walls end at the scanned height: with another one they would be steeper.
+    if is_stated or shape.slopes or not MIN_SCANNED_M <= shape.height < MIN_ROOM_M:
         return shape, [f"no ceiling seen: height taken from the {shape.height_source}"]
     walls = shape.interior_walls.copy()
     # Walls that reach as high as the scan go on above it; half-height ones end where they were seen to end.

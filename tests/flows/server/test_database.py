@@ -113,3 +113,59 @@ def test_the_migrated_database_is_what_prefect_makes(tmp_path: Path) -> None:
     assert counts.pop("alembic_version") == 1
     assert set(counts.values()) == {0}, "nothing of one home reaches another"
     assert [path.name for path in tmp_path.glob("ours*")] == ["ours.db"]
+
+
+def test_a_log_without_its_database_is_no_new_home(home: Path) -> None:
+    home.mkdir()
+    (home / "prefect.db-wal").write_text("of a database that is gone")
+    assert place_database() is None
+    assert [path.name for path in home.iterdir()] == ["prefect.db-wal"]
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An installation that nobody may write, and a user's cache folder."""
+    monkeypatch.setattr(database, "__file__", str(tmp_path / "file" / "database.py"))
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setattr(database, "cache_folder", lambda: tmp_path / "cache")
+    return tmp_path / "cache"
+
+
+def test_a_damaged_copy_of_the_migrated_database_is_made_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Path] = []
+
+    def migrate(file: Path) -> None:
+        made.append(file)
+        with contextlib.closing(sqlite3.connect(file)) as connection, connection:
+            connection.execute("CREATE TABLE alembic_version (version_num TEXT)")
+            connection.execute("INSERT INTO alembic_version VALUES ('head')")
+
+    monkeypatch.setattr(database, "_migrate", migrate)
+    place = database._template()
+    assert place.parent == cache
+    assert database._template() == place
+    assert len(made) == 1
+    for damage in (b"", place.read_bytes()[:4096], b"no database" * 100):
+        place.write_bytes(damage)
+        assert database._template() == place
+        assert database._is_sound(place)
+    assert len(made) == 4
+
+
+def test_migrations_that_fail_are_left_to_prefect(home: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from sqlalchemy.exc import OperationalError
+
+    def fails(file: Path) -> None:
+        raise OperationalError("CREATE TABLE flow", None, sqlite3.OperationalError("disk I/O error"))
+
+    monkeypatch.undo()
+    for name in list(os.environ):
+        if name.startswith("PREFECT_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("PREFECT_HOME", str(home))
+    monkeypatch.setattr(database, "__file__", str(home.parent / "file" / "database.py"))
+    monkeypatch.setattr(database, "cache_folder", lambda: cache)
+    monkeypatch.setattr(database, "_migrate", fails)
+    assert place_database() is None
+    assert not home.exists()
+    assert list(cache.iterdir()) == []
