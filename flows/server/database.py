@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from flows.run.fingerprints import cache_folder
-from schemas.files import write_whole
+from schemas.files import making
 from schemas.machine.scratch import temporary_folder
 
 
@@ -74,8 +74,8 @@ def _template() -> Path:
         except Exception as error:  # of alembic or SQLAlchemy: Prefect tells of it where it migrates the home's own database
             raise OSError(f"{migrated}: cannot be migrated") from error
         for place in writable:
-            with contextlib.suppress(OSError):
-                write_whole(place, migrated.read_bytes())
+            with contextlib.suppress(OSError), making(place) as unfinished:
+                shutil.copyfile(migrated, unfinished)
                 return place
     raise OSError(f"{places[-1]} cannot be written")
 
@@ -84,7 +84,10 @@ def _is_sound(file: Path) -> bool:
     """True for a whole database that was migrated."""
     if not file.is_file():
         return False
-    with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(f"{file.as_uri()}?mode=ro&immutable=1", uri=True)) as known:
+    with (
+        contextlib.suppress(sqlite3.Error),
+        contextlib.closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as known,
+    ):
         whole = known.execute("PRAGMA quick_check").fetchall() == [("ok",)]
         return whole and bool(known.execute("SELECT * FROM alembic_version").fetchall())
     return False

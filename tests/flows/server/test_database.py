@@ -31,29 +31,29 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_new_home_has_a_copy_that_only_its_user_reads(home: Path) -> None:
     assert place_database() == home / "prefect.db"
-    assert [path.name for path in home.iterdir()] == ["prefect.db"]
+    assert [path.name for path in home.glob("*prefect*")] == ["prefect.db"]
     assert (home / "prefect.db").read_text() == "migrated"
     assert stat.S_IMODE((home / "prefect.db").stat().st_mode) == 0o600
 
 
 def test_a_database_that_exists_stays(home: Path) -> None:
-    home.mkdir()
+    home.mkdir(exist_ok=True)
     (home / "prefect.db").write_text("mine")
     assert place_database() is None
-    assert [path.read_text() for path in home.iterdir()] == ["mine"]
+    assert [path.read_text() for path in home.glob("*prefect*")] == ["mine"]
 
 
 def test_a_database_that_another_server_makes_meanwhile_stays(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     template = database._template()
 
     def made_meanwhile() -> Path:
-        home.mkdir()
+        home.mkdir(exist_ok=True)
         (home / "prefect.db").write_text("theirs")
         return template
 
     monkeypatch.setattr(database, "_template", made_meanwhile)
     assert place_database() is None
-    assert [path.read_text() for path in home.iterdir()] == ["theirs"]
+    assert [path.read_text() for path in home.glob("*prefect*")] == ["theirs"]
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_a_named_database_is_placed_where_it_is_named(home: Path, monkeypatch: p
     named = home.parent / "elsewhere" / "of ours.db"
     monkeypatch.setenv("PREFECT_API_DATABASE_CONNECTION_URL", f"sqlite+aiosqlite:///{named}")
     assert place_database() == named
-    assert not home.exists()
+    assert not (home / "prefect.db").exists()
     monkeypatch.setenv("PREFECT_API_DATABASE_CONNECTION_URL", "postgresql+asyncpg://u:p@host/name")
     assert place_database() is None
 
@@ -87,7 +87,7 @@ def test_without_a_place_for_the_migrated_database_prefect_migrates_itself(home:
 
     monkeypatch.setattr(database, "_template", refused)
     assert place_database() is None
-    assert not home.exists()
+    assert not (home / "prefect.db").exists()
 
 
 def rows_and_schema(file: Path) -> tuple[list[object], dict[str, int]]:
@@ -116,10 +116,10 @@ def test_the_migrated_database_is_what_prefect_makes(tmp_path: Path) -> None:
 
 
 def test_a_log_without_its_database_is_no_new_home(home: Path) -> None:
-    home.mkdir()
+    home.mkdir(exist_ok=True)
     (home / "prefect.db-wal").write_text("of a database that is gone")
     assert place_database() is None
-    assert [path.name for path in home.iterdir()] == ["prefect.db-wal"]
+    assert [path.name for path in home.glob("*prefect*")] == ["prefect.db-wal"]
 
 
 @pytest.fixture
@@ -167,5 +167,5 @@ def test_migrations_that_fail_are_left_to_prefect(home: Path, cache: Path, monke
     monkeypatch.setattr(database, "cache_folder", lambda: cache)
     monkeypatch.setattr(database, "_migrate", fails)
     assert place_database() is None
-    assert not home.exists()
+    assert not (home / "prefect.db").exists()
     assert list(cache.iterdir()) == []
