@@ -32,7 +32,6 @@ def stages_flow(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     `prefect.flow` takes the same options. `Flow.parameters` has no fields of stages; a deployment has them.
     """
-
     from prefect import flow
 
     def declare(function: Callable[..., Any]) -> Any:

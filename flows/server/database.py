@@ -5,6 +5,7 @@ Prefect carries out more than a hundred migrations on an empty database, which c
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import secrets
@@ -47,7 +48,7 @@ def place_database() -> Path | None:
 
 
 def sqlite_file(url: str) -> Path | None:
-    """File that a connection URL names; None for other databases and for one in memory."""
+    """File that a connection URL names, whether it exists or not; None for other databases and for one in memory."""
     kind, _, name = url.partition(":///")
     file = Path(urllib.parse.unquote(name.removeprefix("file:").partition("?")[0]))
     return file if kind.startswith("sqlite") and name and ":memory:" not in name else None
@@ -103,8 +104,6 @@ def _can_be_written(folder: Path) -> bool:
 
 def _migrate(file: Path) -> None:
     """Carry out Prefect's migrations on a new file, and leave all of its content in that one file."""
-    import asyncio
-
     from prefect.server.database import provide_database_interface
     from prefect.server.database.configurations import AioSqliteConfiguration
     from prefect.server.database.dependencies import temporary_database_config
