@@ -101,10 +101,19 @@ def separated(outline: Array, interior_walls: Sequence[Sequence[float]], is_seen
     floors = [part for part in parts if part.area >= LEAST_ROOM_M2]
     if not floors:
         return Separation((_turned(whole),), shapely.Polygon())
-    floors = _with_niches(floors, [part for part in parts if part.area < LEAST_ROOM_M2], whole.intersection(shapely.union_all(gaps)))
+    floors = _with_niches(
+        floors, [part for part in parts if part.area < LEAST_ROOM_M2], _areas_of(whole.intersection(shapely.union_all(gaps)))
+    )
     rooms = sorted((_without_holes(floor, floors) for floor in floors), key=_rank)
-    closed = whole.intersection(shapely.union_all(gaps), grid_size=_GRID_M)
+    closed = _areas_of(whole.intersection(shapely.union_all(gaps), grid_size=_GRID_M))
     return Separation(tuple(rooms), closed.difference(shapely.union_all(floors), grid_size=_GRID_M))
+
+
+def _areas_of(shape: Geometry) -> Geometry:
+    """The polygons of a shape without the lines and points along which others only touched."""
+    import shapely
+
+    return shapely.union_all([part for part in shapely.get_parts(shape) if part.area > 0.0])
 
 
 def corners_of(room: Polygon) -> Array:

@@ -126,9 +126,17 @@ CROSSING = (
 """Two askew walls that cross beside the outline: rounding once took the largest of three rooms away."""
 
 
+TOUCHING = (
+    np.array([[-3.0, -2.0], [1.1, -2.0], [1.1, -3.7], [3.0, -3.7], [3.0, 1.0], [1.0, 1.0], [1.0, 2.0], [-3.0, 2.0]]),
+    [(3.0, -2.05, 1.1, -2.05, 0.1, 2.6)],
+)
+"""A wall whose doorway touches the outline along a line."""
+
+
 @given(partitioned())
 @example(SLIVER)
 @example(CROSSING)
+@example(TOUCHING)
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_rooms_are_disjoint_inside_and_nothing_is_lost_but_walls(made: tuple[Array, list[Wall]]) -> None:
     outline, walls = made
