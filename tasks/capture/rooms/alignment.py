@@ -26,6 +26,9 @@ _BELOW_SHARE = 0.03
 _ENOUGH_FACES = 150_000
 """Faces that the estimate is made of: a room's floor still has some ten thousand."""
 
+_STOREY_M = 0.16
+"""Levels farther apart are a table and the floor, not a table and a thing on it; the reach of `floor_height` among levels."""
+
 _IDENTITY_YAW = np.deg2rad(1.0)
 _IDENTITY_SHIFT_M = 0.02
 """A modelled scene nearer than this to the world frame is left exactly where it was authored."""
@@ -46,16 +49,6 @@ class Alignment:
 
 
 @dataclasses.dataclass(frozen=True)
-class SeenLevel:
-    """What frames say of a scan that was fused from them. up: In the scan frame, unit, shape (3,). height: Of the lowest level that they
-    see, along it [m]; None where they see none. band_m: Depth noise of its surface [m]."""
-
-    up: Array
-    height: float | None
-    band_m: float = BAND_M
-
-
-@dataclasses.dataclass(frozen=True)
 class Facets:
     """Faces as planes, in the frame of their surface: centers [m] (m, 3), unit normals (m, 3), areas [m2] (m,)."""
 
@@ -71,6 +64,29 @@ class Facets:
     def chosen(self, where: NDArray[np.bool_]) -> Facets:
         """The faces where `where`, shape (m,), is set."""
         return Facets(self.centers[where], self.normals[where], self.areas[where], self.corners[where])
+
+
+@dataclasses.dataclass(frozen=True)
+class SeenLevel:
+    """The horizontal and the lowest level that the frames of a fused scan show.
+
+    up: in the scan frame, unit, shape (3,). points: on the lowest level, scan frame [m], shape (n, 3); empty if the frames
+    show none. band_m: depth noise of the fused surface [m].
+    """
+
+    up: Array
+    points: Array
+    band_m: float = BAND_M
+
+    def height_along(self, up: Array) -> float | None:
+        """Height of the level along a direction, unit, shape (3,), in the scan frame [m]; None if the frames show none."""
+        return float(np.median(self.points @ up)) if len(self.points) else None
+
+    @property
+    def facets(self) -> Facets:
+        """The points as faces without extent, in the scan frame."""
+        count = len(self.points)
+        return Facets(self.points, np.tile(self.up, (count, 1)), np.ones(count), np.repeat(self.points[:, None], 3, axis=1))
 
 
 def facets(corners: Array, weight: float = 1.0) -> Facets:
@@ -122,12 +138,9 @@ def align(
     if yaw is None:
         notes.append("no walls or other vertical faces seen: yaw left as scanned")
         yaw = 0.0
-    band = BAND_M if level is None else level.band_m
-    height = floor_height(faces.turned(rotation), floor.turned(rotation) if floor is not None else None, band)
+    height = _level_height(faces.turned(rotation), floor.turned(rotation) if floor is not None else None, level, rotation[2])
     tilt = _tilt(floor or faces, rotation.T[:, 2])
     points = surface.vertices @ (yaw_pose(-yaw)[:3, :3] @ rotation).T
-    if height is None and level is not None:
-        height = level.height
     if height is None:
         notes.append("no floor seen: the lowest points are taken for its height")
         height = float(np.percentile(points[:, 2], 0.5))
@@ -138,6 +151,21 @@ def align(
     pose[:3, :3] = yaw_pose(-yaw)[:3, :3] @ rotation
     pose[:3, 3] = [*(-(low + high) / 2), -height]
     return Alignment(matrix(flat(pose)), "estimated", tilt, tuple(notes))
+
+
+def _level_height(turned: Facets, floor: Facets | None, level: SeenLevel | None, up: Array) -> float | None:
+    """Height of the floor along `up` [m]: the frames' own level, unless the surface has a lower storey or the scan names floors.
+
+    Frames tell a table from the tops of boxes on it, which have more area in the fused surface than the visible table.
+
+    Args:
+        turned, floor: faces of the scan, and those that it names floor, in a frame whose z axis is `up`.
+        level: the level that frames show, None for a scan with a mesh of its own.
+        up: in the scan frame, unit, shape (3,).
+    """
+    own = floor_height(turned, floor, BAND_M if level is None else level.band_m)
+    seen = None if level is None or floor is not None else level.height_along(up)
+    return own if seen is None or (own is not None and own < seen - _STOREY_M) else seen
 
 
 def _as_stated(faces: Facets, floor: Facets | None, stated: Array) -> Alignment:
@@ -170,6 +198,11 @@ def _up(faces: Facets, floor: Facets | None, seen: SeenLevel | None) -> tuple[Ar
         if normal is not None:
             inside = faces.centers.mean(axis=0) - floor.centers.mean(axis=0)
             return (normal if normal @ inside > 0 else -normal), []
+    if seen is not None and len(seen.points):
+        # The fused surface near the level has tops of things on it: only its own points tell how it lies.
+        normal = fitted_normal(seen.facets, guesses[0])
+        if normal is not None and normal @ guesses[0] > np.cos(np.deg2rad(10)):
+            return normal, []
     for guess in guesses:
         up = gravity_aligned(faces, guess)
         turned = faces.turned(rotation_to_z(up))
@@ -230,7 +263,7 @@ def floor_height(faces: Facets, floor: Facets | None, band: float = BAND_M) -> f
     if not enough.any():
         return None
     first = int(np.argmax(enough))
-    stop = min(first + 8, len(filled))
+    stop = min(first + round(_STOREY_M / 0.02), len(filled))
     peak = first + int(np.argmax(filled[first:stop]))
     # All bins around a thin floor are as full; a platform a little above it must not draw its height up.
     window = slice(max(peak - 2, 0), peak + 3)
