@@ -25,7 +25,7 @@ from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_
 from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
 from tasks.capture.instances.split import rejoined
 from tasks.capture.instances.views import Sight, best_sights, run_lengths, view_of
-from tasks.capture.labels import CEILING, DOOR, WALL, WINDOW, Label, LabelMap, label_map
+from tasks.capture.labels import DOOR, WALL, WINDOW, Label, LabelMap, label_map
 from tasks.capture.leveling import aligned, height_notes, read_with_meanings
 from tasks.capture.poses.provider import PosesConfig, with_poses
 from tasks.capture.reading import FrameSource, Group, Reading, StatedRoom
@@ -338,9 +338,8 @@ def _shell(
     the whole [m], shape (8, 3)."""
     shape = estimate_room(cloud, classes, stated.outline)
     notes += shape.notes
-    if not any(label.nyu40_id == CEILING for label in meanings):
-        shape, remarks = with_plausible_height(shape, is_modelled or stated.has_height)
-        notes += remarks
+    shape, remarks = with_plausible_height(shape, is_modelled or stated.has_height)
+    notes += remarks
     fillings = {i: solids[i].points for i, label in enumerate(meanings) if label.nyu40_id in (DOOR, WINDOW) or _is_let_in(label)}
     lines, names = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].category.split() for i in fillings]
     is_door, of_house = [not name[-1].startswith("window") for name in names], [name[0] not in FURNITURE_WITH_DOORS for name in names]

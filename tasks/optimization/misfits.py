@@ -147,7 +147,7 @@ def _dropping(before: Interior, after: Interior, others: Collection[str]) -> set
     return {
         carrier.parent_id
         for name, carrier in zip(before.names, before.carriers, strict=True)
-        if carrier.parent_id in others and name in carriers and not _is_loose(carrier) and _is_loose(carriers[name])
+        if carrier.parent_id is not None and carrier.parent_id in others and name in carriers and not _is_loose(carrier) and _is_loose(carriers[name])
     }  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tasks.capture.instances.views import camera_up, chosen_frames
 from tasks.capture.reading import FrameSource
-from tasks.capture.rooms.alignment import BAND_M, SeenLevel
+from tasks.capture.rooms.floor_levels import BAND_M, SeenLevel
 from tasks.capture.segmentation.frame import FrameConfig
 from tasks.capture.segmentation.organized import organized_frame
 from tasks.capture.segmentation.planes import MIN_ANGLE_COS, FramePlane, FramePlanes, frame_planes
@@ -23,11 +23,15 @@ _MOST_FRAMES = 12
 _AGREE_DEGREES = 6.0
 """Between two frames' supports: their noise, and a tracker's drift."""
 
-_SAME_LEVEL_M, _LEAST_M2 = 0.05, 0.15
-"""Between frames' views of one level [m]; and least of it that is seen, over all frames [m2]: less is the lid of a box."""
+_SAME_LEVEL_M, _LEAST_M2 = 0.025, 0.15
+"""Between frames' views of one level and its middle [m], drift of poses; and least of it that is seen, over all frames [m2]: less is the
+lid of a box."""
 
 _LEVEL_POINTS = 4000
 """Of a level, points by which its height is told: its median is then known to a fiftieth of the depth noise."""
+
+_LEVEL_ROUNDS = 8
+"""Times that the middle of a level moves to the mean of those around it: each halves the way that is left."""
 
 _BAND_SPACINGS, _LEAST_BAND_M = 3.0, 0.01
 """Depth noise of a fused floor in distances of its vertices; and least [m]."""
@@ -90,10 +94,14 @@ def _lowest(seen: Sequence[tuple[DepthView, FramePlanes]], up: Array) -> Array:
         return np.zeros((0, 3))
     height = np.array([float(np.median(points @ up)) for points, _, _ in levels])
     area, carries = np.array([area for _, area, _ in levels]), np.array([carries for _, _, carries in levels])
-    near = np.abs(height[:, None] - height[None, :]) < _SAME_LEVEL_M
-    total = near @ area
-    low = int(min(np.flatnonzero(total >= min(_LEAST_M2, total.max())), key=lambda index: height[index]))
-    # What carries things comes before tops that are as high within a tracker's drift.
-    chosen = near[low] & carries if (near[low] & carries).any() else near[low]
+    total = (np.abs(height[:, None] - height[None, :]) < _SAME_LEVEL_M) @ area
+    middle = float(height[total >= min(_LEAST_M2, total.max())].min())
+    for _ in range(_LEVEL_ROUNDS):
+        near = np.abs(height - middle) < _SAME_LEVEL_M
+        # What carries things comes before tops that are as high within a tracker's drift.
+        chosen = near & carries if (near & carries).any() else near
+        middle = float(np.average(height[chosen], weights=area[chosen]))
     counts = np.maximum(_LEVEL_POINTS * area / area[chosen].sum(), 1.0).astype(np.int64)
-    return np.concatenate([levels[k][0][:: len(levels[k][0]) // counts[k] + 1] for k in np.flatnonzero(chosen)])
+    # Every plane gives points by its area, however many pixels it has.
+    rows = {k: np.linspace(0, len(levels[k][0]) - 1, counts[k]).round().astype(np.int64) for k in np.flatnonzero(chosen)}
+    return np.concatenate([levels[k][0][row] for k, row in rows.items()])

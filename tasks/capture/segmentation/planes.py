@@ -133,7 +133,7 @@ def _carrier(frame: OrganizedFrame, support: FramePlane, planes: list[FramePlane
 
     cosine = np.cos(np.deg2rad(config.level_degrees))
     first, second = np.linalg.svd(support.plane.normal[None])[2][1:]
-    plan = shapely.points(frame.points @ first, frame.points @ second)
+    plan = np.stack([frame.points @ first, frame.points @ second], axis=-1)
     carrier, lowest = support, 0.0
     for each in planes:
         if float(each.plane.normal @ support.plane.normal) <= cosine:
@@ -142,9 +142,9 @@ def _carrier(frame: OrganizedFrame, support: FramePlane, planes: list[FramePlane
         clear = max(config.remove_m, config.remove_sigmas * float(np.median(frame.noise[each.pixels])))
         if not -config.storey_m <= height < min(-clear, lowest) or each.pixels.sum() < _MIN_CARRIER_SHARE * support.pixels.sum():
             continue
-        outline = shapely.convex_hull(shapely.multipoints(plan[each.pixels]))
+        outline = shapely.LineString(plan[each.pixels]).convex_hull
         shapely.prepare(outline)
-        if shapely.contains(outline, plan[support.pixels]).mean() >= _MIN_AROUND_SHARE:
+        if shapely.contains_xy(outline, plan[support.pixels]).mean() >= _MIN_AROUND_SHARE:
             carrier, lowest = each, height
     return carrier
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,10 @@ from bench.capture.frames import write_scan
 from tasks.capture import find_scans
 from tasks.capture.fusion import FusionConfig, fused_surface
 from tasks.capture.leveling import aligned, read_scan
-from tasks.capture.rooms.alignment import SeenLevel, align
+from tasks.capture.rooms.alignment import align
+from tasks.capture.rooms.floor_levels import SeenLevel
+from tasks.capture.segmentation import gravity
+from tasks.capture.segmentation.frame import FrameConfig
 from tasks.capture.segmentation.votes import VoteConfig
 from tasks.capture.small_objects.lifting import DepthView, depth_noise
 from tasks.geometry.meshes import surface_of
@@ -76,9 +80,41 @@ def test_the_level_of_frames_comes_before_larger_tops(height: float) -> None:
     assert pose[2, 2] > np.cos(np.deg2rad(0.5))
 
 
-def test_a_floor_far_below_the_level_of_frames_is_the_floor() -> None:
-    floor = trimesh.creation.box((3.0, 3.0, 0.0)).subdivide().subdivide()
-    table = trimesh.creation.box((1.0, 1.0, 0.0)).subdivide().subdivide().apply_translation([0, 0, TOP_M])
-    surface = surface_of([floor, table])
-    points = np.column_stack([np.random.default_rng(1).uniform(-0.5, 0.5, (500, 2)), np.full(500, TOP_M)])
-    assert abs(align(surface, level=SeenLevel(np.array([0.0, 0.0, 1.0]), points)).pose[2, 3]) < MAX_LEVEL_ERROR_M
+def level_of(height: float, side: float, tilt_degrees: float = 0.0) -> SeenLevel:
+    """Points on a square [m] that frames show at a height [m], tilted as a small patch may be."""
+    rng = np.random.default_rng(1)
+    plan = rng.uniform(-side / 2, side / 2, (500, 2))
+    slope = np.tan(np.deg2rad(tilt_degrees))
+    return SeenLevel(np.array([0.0, 0.0, 1.0]), np.column_stack([plan, height + slope * plan[:, 0] + rng.normal(0, 0.001, 500)]))
+
+
+def plate_at(height: float, side: float) -> trimesh.Trimesh:
+    """A square plate [m] of small faces at a height [m]."""
+    return trimesh.creation.box((side, side, 0.0)).subdivide_to_size(0.1).apply_translation([0, 0, height])
+
+
+@pytest.mark.parametrize("tilt_degrees", [0.0, 3.0])
+@pytest.mark.parametrize(("height", "side"), [(0.05, 1.5), (0.08, 1.5), (0.12, 1.5), (0.16, 1.5), (0.4, 0.7), (TOP_M, 1.0), (-0.4, 0.5)])
+def test_a_larger_floor_comes_before_the_level_of_frames(height: float, side: float, tilt_degrees: float) -> None:
+    """The frames show a platform, a table, or a reflection in the floor."""
+    surface = surface_of([plate_at(0.0, 3.0), plate_at(height, side)])
+    pose = align(surface, level=level_of(height, side, tilt_degrees)).pose
+    assert abs(pose[2, 3]) < MAX_LEVEL_ERROR_M
+    assert pose[2, 2] > np.cos(np.deg2rad(0.1))
+
+
+def test_a_few_low_frames_do_not_pull_the_level_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses drift by 2 cm either way, and one frame shows a little of a shelf below."""
+    lens, drift = Camera.with_fov(look_at([0.9, 0.0, 0.9], [0, 0, 0]), 80, 60, 1.0), np.linspace(-0.02, 0.02, 9)
+    views: list[Any] = []
+    for height, camera, side in [*((height, lens, 4.0) for height in drift), (-0.045, lens, 0.32)]:
+        depth = RayScene([plate_at(0.0, side)]).render(camera).depth
+        pose = np.array(camera.pose)
+        pose[2, 3] += height
+        depth_m = np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
+        views.append(DepthView("", depth_m, np.zeros((60, 80, 3), np.uint8), (camera.fx, camera.fy, camera.cx, camera.cy), pose))
+    monkeypatch.setattr(gravity, "chosen_frames", lambda frames, most: range(len(frames)))
+    monkeypatch.setattr(gravity, "depth_view", lambda frame, pose: frame)
+    level = gravity.scan_level(views, 0.01, FrameConfig())
+    assert level is not None
+    assert level.height_along(np.array([0.0, 0.0, 1.0])) == pytest.approx(0.0, abs=MAX_LEVEL_ERROR_M)
