@@ -144,11 +144,12 @@ def yielding(
 def _dropping(before: Interior, after: Interior, others: Collection[str]) -> set[str]:
     """The objects, of those taken for something else, that no longer carry a thing which then hangs in the air or drops."""
     carriers = dict(zip(after.names, after.carriers, strict=True))
-    return {
+    parents = {
         carrier.parent_id
         for name, carrier in zip(before.names, before.carriers, strict=True)
-        if carrier.parent_id is not None and carrier.parent_id in others and name in carriers and not _is_loose(carrier) and _is_loose(carriers[name])
-    }  # fmt: skip
+        if not _is_loose(carrier) and name in carriers and _is_loose(carriers[name])
+    }
+    return {name for name in others if name in parents}
 
 
 def _is_loose(carrier: Carrier) -> bool:
