@@ -79,21 +79,21 @@ def fit_together(
     needed: set[str] = set()
     for _ in range(MOST_ROUNDS):
         pairs = Colliders(interior.solids).penetrations(interior.poses)
-        while others := {
+        while replacements := {
             name: other
             for name in _giving_way(interior, pairs, ranked, chosen, depth, needed)
             if (other := _other(chosen[name], ranked[name])) is not None
         }:
-            changed, missing = furnish(tuple((chosen | others).values()))
-            dropping = _dropping(interior, changed, others)
+            changed, missing = furnish(tuple((chosen | replacements).values()))
+            dropping = _dropping(interior, changed, replacements)
             if not dropping:
                 break
             needed |= dropping
-        if not others:
+        if not replacements:
             break
-        chosen |= others
+        chosen |= replacements
         interior, left_out = changed, missing
-        for name, other in others.items():
+        for name, other in replacements.items():
             is_other = other.asset_id != first[name].asset_id
             reasons[name] = OTHER_NOTE if is_other else ""
             if (other.scale < (1 - 1e-9) * _selected(other, ranked[name])).any():
@@ -141,7 +141,7 @@ def yielding(
     return Fitting(tuple(chosen.values()), made, tuple(left_out), tuple(f"{name}: {text}" for name, text in sorted(notes.items())))
 
 
-def _dropping(before: Interior, after: Interior, others: Collection[str]) -> set[str]:
+def _dropping(before: Interior, after: Interior, replacements: Collection[str]) -> set[str]:
     """The objects, of those taken for something else, that no longer carry a thing which then hangs in the air or drops."""
     carriers = dict(zip(after.names, after.carriers, strict=True))
     parents = {
@@ -149,7 +149,7 @@ def _dropping(before: Interior, after: Interior, others: Collection[str]) -> set
         for name, carrier in zip(before.names, before.carriers, strict=True)
         if not _is_loose(carrier) and name in carriers and _is_loose(carriers[name])
     }
-    return {name for name in others if name in parents}
+    return {name for name in replacements if name in parents}
 
 
 def _is_loose(carrier: Carrier) -> bool:
