@@ -27,6 +27,9 @@ _SAME_LEVEL_M, _LEAST_M2 = 0.025, 0.15
 """Between frames' views of one level and its middle [m], drift of poses; and least of it that is seen, over all frames [m2]: less is the
 lid of a box."""
 
+_STOREY_M = 0.1
+"""Levels farther apart are a table and the floor, not one floor by poses that drift; as `PlaneConfig.storey_m` has it."""
+
 _LEVEL_POINTS = 4000
 """Of a level, points by which its height is told: its median is then known to a fiftieth of the depth noise."""
 
@@ -95,7 +98,11 @@ def _lowest(seen: Sequence[tuple[DepthView, FramePlanes]], up: Array) -> Array:
     height = np.array([float(np.median(points @ up)) for points, _, _ in levels])
     area, carries = np.array([area for _, area, _ in levels]), np.array([carries for _, _, carries in levels])
     total = (np.abs(height[:, None] - height[None, :]) < _SAME_LEVEL_M) @ area
-    middle = float(height[total >= min(_LEAST_M2, total.max())].min())
+    lowest = float(height[total >= min(_LEAST_M2, total.max())].min())
+    # Less than a storey above it what carries things is the same floor, by the poses of other frames: most of it is right.
+    is_near = (height >= lowest) & (height < lowest + _STOREY_M)
+    is_near &= carries if (is_near & carries).any() else True
+    middle = float(height[is_near][np.argmax(total[is_near])])
     for _ in range(_LEVEL_ROUNDS):
         near = np.abs(height - middle) < _SAME_LEVEL_M
         # What carries things comes before tops that are as high within a tracker's drift.
