@@ -105,7 +105,7 @@ def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN) -> SolidField:
     solid = uniform_filter(inside, 3) > 0.5
     field = gaussian_filter(np.where(solid, -distance, distance) - SHELL_STEPS * step, SMOOTHING_CELLS, mode="nearest")
     near = distance <= 0.5 * step
-    is_lost = (field[near] < 0).sum() <= MIN_KEPT_SURFACE * near.sum()
+    is_lost = (field[near] < 0).sum() <= MIN_KEPT_SURFACE * near.sum() or _is_broken(field < 0)
     if is_lost and float(np.ptp(crop.bounds, axis=0).max()) > step:
         # Averages draw the edges of a narrow strip together: its shell is that of the faces as they were scanned.
         shell = distances(crop.vertices, crop.faces, grid, FAR_STEPS * step) - SHELL_STEPS * step
@@ -113,6 +113,15 @@ def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN) -> SolidField:
     field = completed(field, grid.axes, low, high, unseen)
     middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.5 * MIN_THICKNESS_M)
     return SolidField(_grounded(field, grid.axes[2], low[2], step), origin, step, middle - half, middle + half)
+
+
+def _is_broken(inside: NDArray[np.bool_]) -> bool:
+    """True if all connected parts of the nodes inside, shape (nx, ny, nz), are specks: a slanted strip falls apart into beads."""
+    from scipy.ndimage import find_objects, label
+
+    lengths = [np.linalg.norm([side.stop - side.start for side in part]) for part in find_objects(label(inside)[0])]
+    whole = np.ptp(np.argwhere(inside), axis=0) + 1 if lengths else np.zeros(3)
+    return bool(max(lengths, default=0.0) < MIN_BODY_SHARE * np.linalg.norm(whole))
 
 
 def _smoothed(crop: Surface, max_edge_m: float) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -69,6 +69,7 @@ def test_a_thin_crop_has_thickness(length: float, width: float, angles: tuple[fl
 
 
 @settings(max_examples=12)
+@example(2.0, 0.0625, 0.0, (0.0, 45.0, 0.0), 0.001)  # beads, each at an edge of the next
 @given(
     st.floats(0.1, 2.0),
     st.floats(0.006, 0.4),
