@@ -85,8 +85,8 @@ class Shell:
         "Walls inside the outline as center lines with thickness and height (x0, y0, x1, y1, thickness, height)", unit="m"
     )
     openings: tuple[tuple[float, ...], ...] | None = column(
-        "Doors and windows in the walls: segment (x0, y0, x1, y1) on the inner face of an outer wall or the center line of an "
-        "interior one, heights of bottom and top, how far what fills it reaches behind that line; missing where nobody looked",
+        "Doors, windows and passages in the walls: segment (x0, y0, x1, y1) on the inner face of an outer wall or the center line of "
+        "an interior one, heights of bottom and top, how far a filling reaches behind that line, 0 for none; missing where nobody looked",
         unit="m",
     )
     lintels: tuple[tuple[float, ...], ...] | None = column(
@@ -101,7 +101,8 @@ class Shell:
     )
     height_m: float = column("Height from floor to ceiling", unit="m", minimum=0.1)
     height_source: str = column(
-        "What the height was estimated from; layout is stated by a finished dataset", values=("ceiling", "walls", "extent", "layout")
+        "What the height was estimated from; layout is stated by a finished dataset, assumed is that of most rooms, where scans end lower",
+        values=("ceiling", "walls", "extent", "layout", "assumed"),
     )
     floor_color: tuple[int, ...] | None = column(
         "Median color of the floor in the scan, sRGB; missing when unseen", length=3, minimum=0, maximum=255

@@ -39,8 +39,8 @@ def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str
     floor inside the room, half-height ones as low as they are; lintels over the doorways between them are pieces of the wall that goes
     on there. A wall with doors or windows
     is cut into convex pieces, `wall_00`, `wall_00_1`, ..., of which the last are the wedges that slanted walls leave below the ceiling:
-    openings of outer walls are niches as deep as what fills them, closed by a thin panel, those of interior walls go through. Colors
-    are the scan's, where it shows any.
+    openings of outer walls are niches as deep as what fills them, closed by a thin panel; those without a filling and those of interior
+    walls go through. Colors are the scan's, where it shows any.
 
     Raises:
         InputError: the floor polygon has no area or crosses itself, or an interior wall has no size.
@@ -174,11 +174,13 @@ def _panel(
 ) -> list[_Piece]:  # fmt: skip
     """What closes an opening: a panel in the wall, or, where what fills the opening reaches farther, a panel and a frame behind the wall.
 
-    Nothing where the room is on the other side, too: there the opening goes through.
+    Nothing where nothing fills the opening (depth 0), or the room is on the other side, too: there the opening goes through.
     """
     from shapely.geometry import Polygon
 
     low, high, bottom, top, depth = span
+    if depth == 0.0:
+        return []
     panel, thickness, free = shell.panel_m, shell.thickness_m, Polygon(room)
     front = max(depth, thickness - panel)
     back, out = front + panel, np.array([along[1], -along[0]])

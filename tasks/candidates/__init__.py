@@ -228,9 +228,15 @@ def _attempt(
         made = lender.drawn.get(provider) if family.draws_looks else None
         if made is None:
             made = family.offer(lender if family.draws_looks else request, provider)
-            # A value that the table refuses leaves this slot out, not the whole scene.
+            # A value that a table refuses leaves this slot out, not the whole scene.
             check([made.asset], Asset)
             check([made.charts] if made.charts is not None else [], TextureCharts)
+        row = dataclasses.replace(
+            _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id),
+            call_id=made.call_id, library=made.library, library_file=made.library_file, library_score=made.library_score,
+            seen_share=made.seen_share, seconds=time.perf_counter() - clock,
+        )  # fmt: skip
+        check([row], Candidate)
         if family.draws_looks:
             lender.drawn[provider] = made
     except NothingToOffer as nothing:
@@ -245,12 +251,7 @@ def _attempt(
         is_stated = isinstance(error, LakeError | ValueError)
         text = (one_line(error) if is_stated else f"cannot be computed: {one_line(error) or 'no reason given'}")[:300]
         return _row(number, provider, request, outcome="failed", reason=text, is_fallback=is_fallback), None
-    row = _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id)
-    seconds = time.perf_counter() - clock
-    return dataclasses.replace(
-        row, call_id=made.call_id, library=made.library, library_file=made.library_file, library_score=made.library_score,
-        seen_share=made.seen_share, seconds=seconds,
-    ), made  # fmt: skip
+    return row, made
 
 
 def is_generator(provider: ProviderConfig) -> TypeGuard[GeneratorSettings]:

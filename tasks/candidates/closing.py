@@ -11,6 +11,7 @@ A distance is put on a grid and its level taken, so the result is closed whateve
   generalized winding number (Jacobson et al., "Robust inside-outside segmentation using generalized winding numbers",
   SIGGRAPH 2013).
 * The lowest layer reaches straight down to the bottom of the box, so that the solid stands on a flat contact.
+* Where smoothing would take away most of the surface (strips, rods and wires of a cell or less), the shell stays as it is.
 * What the scan could not see of furniture is drawn out of what it saw (`tasks.candidates.completion`).
 * What the shell added around the outside is taken away again: the solid is fitted to the bounds of the crop.
 """
@@ -44,6 +45,10 @@ FAR_STEPS = 1.6
 SMOOTHING_CELLS = 0.7
 """Width of the Gaussian over the distances, in cells: takes away the steps of the grid and the scan's noise, not a leg."""
 
+MIN_KEPT_SURFACE = 0.5
+"""Least share of the nodes at the surface that a smoothed field has inside: sheets and bodies keep nine tenths, rods
+thinner than a cell none."""
+
 CROP_SMOOTHING_ROUNDS = 4
 """Rounds of averaging over neighbors before rays are cast: a face turned around by noise would vote for the wrong side."""
 
@@ -52,6 +57,9 @@ MAX_SMOOTHED_EDGE_STEPS = 6.0
 
 MIN_THICKNESS_M = 0.005
 """No side of the solid is thinner."""
+
+MIN_SIMPLIFIED_VOLUME = 0.5
+"""Least share of its volume that a solid keeps when it is simplified: a thin one may fold and enclose less than nothing."""
 
 MIN_BODY_SHARE = 0.15
 """Separate bodies whose diagonal is below this share of the whole are specks; a chair's leg under an unseen seat is 0.4 of it."""
@@ -96,9 +104,24 @@ def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN) -> SolidField:
     # A lone node that differs from most of its neighbors was decided by noise.
     solid = uniform_filter(inside, 3) > 0.5
     field = gaussian_filter(np.where(solid, -distance, distance) - SHELL_STEPS * step, SMOOTHING_CELLS, mode="nearest")
+    near = distance <= 0.5 * step
+    is_lost = (field[near] < 0).sum() <= MIN_KEPT_SURFACE * near.sum() or _is_broken(field < 0)
+    if is_lost and float(np.ptp(crop.bounds, axis=0).max()) > step:
+        # Averages draw the edges of a narrow strip together: its shell is that of the faces as they were scanned.
+        shell = distances(crop.vertices, crop.faces, grid, FAR_STEPS * step) - SHELL_STEPS * step
+        field = np.minimum(field, shell.astype(np.float32))
     field = completed(field, grid.axes, low, high, unseen)
     middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.5 * MIN_THICKNESS_M)
     return SolidField(_grounded(field, grid.axes[2], low[2], step), origin, step, middle - half, middle + half)
+
+
+def _is_broken(inside: NDArray[np.bool_]) -> bool:
+    """True if all connected parts of the nodes inside, shape (nx, ny, nz), are specks: a slanted strip falls apart into beads."""
+    from scipy.ndimage import find_objects, label
+
+    lengths = [np.linalg.norm([side.stop - side.start for side in part]) for part in find_objects(label(inside)[0])]
+    whole = np.ptp(np.argwhere(inside), axis=0) + 1 if lengths else np.zeros(3)
+    return bool(max(lengths, default=0.0) < MIN_BODY_SHARE * np.linalg.norm(whole))
 
 
 def _smoothed(crop: Surface, max_edge_m: float) -> Array:
@@ -156,8 +179,8 @@ def closed_mesh(field: SolidField, tolerance: float | None = None) -> tuple[Arra
         raise ValueError("the crop encloses nothing")
     solid = manifold3d.Manifold.compose(kept)
     simplified = solid.simplify(0.25 * field.step if tolerance is None else tolerance)
-    # A thin solid may fold when it is simplified, and then encloses less than nothing.
-    return manifold_arrays(simplified if simplified.volume() > 0 else solid)
+    is_sound = simplified.volume() >= MIN_SIMPLIFIED_VOLUME * solid.volume()
+    return manifold_arrays(simplified if is_sound else solid)
 
 
 def fitted(vertices: Array, low: Array, high: Array) -> Array:

@@ -1,5 +1,6 @@
 """A few convex pieces that stand for a scanned object: the solid is cut into slabs where its cross-section changes, each
-slab into its separate or convex parts, and every part is replaced by its hull."""
+slab into its separate or convex parts, and every part is replaced by its hull. A slanted strip or sheet, whose slabs share
+no plan, is cut along its length instead."""
 
 from __future__ import annotations
 
@@ -41,6 +42,12 @@ WORTHWHILE = 0.92
 MIN_PIECE_CELLS = 10
 """Parts of a slab of fewer cells (over its whole height) are specks; a leg one cell wide has twenty."""
 
+MIN_COVERED_SHARE = 0.5
+"""Least share of the solid's cells in the pieces of slabs; furniture has nine tenths, a sheet on its edge at 45 degrees none."""
+
+SLANTED_CONVEXITY = 0.5
+"""A slanted part that fills this share of its hull is one piece: the steps of the grid alone take up to half."""
+
 
 def convex_pieces(field: SolidField) -> list[Array]:
     """Corner points of every convex piece [m], shape (n, 3), in the frame of `field`; at least one piece.
@@ -52,18 +59,39 @@ def convex_pieces(field: SolidField) -> list[Array]:
     if not solid.any():
         raise ValueError("the crop encloses nothing")
     pieces: list[Array] = []
+    covered = 0
     for cuts, price in _THRIFT:
-        pieces = _pieces(solid, field, cuts, price * SLAB_PRICE)
+        pieces, covered = _pieces(solid, field, cuts, price * SLAB_PRICE)
         if len(pieces) <= MAX_PIECES:
             break
-    if not pieces:
-        raise ValueError("the crop encloses nothing")
+    if covered < MIN_COVERED_SHARE * solid.sum():
+        parts = _parts_by_length(np.argwhere(solid).astype(np.float64), MAX_CUTS)
+        return [field.origin + field.step * part for part in parts]
     return pieces
 
 
-def _pieces(solid: Mask, field: SolidField, cuts: int, slab_price: float) -> list[Array]:
-    """Corner points of the pieces with so many cuts per part and one price per slab."""
-    pieces = []
+def _parts_by_length(nodes: Array, cuts: int) -> list[Array]:
+    """Points around the parts of a solid, in cells, shape (n, 3), cut across its length until they are nearly convex.
+
+    Args:
+        nodes: nodes of the solid, in cells, shape (n, 3).
+        cuts: most cuts in a row.
+    """
+    from scipy.spatial import ConvexHull
+
+    tips = 0.5 * np.concatenate([np.eye(3), -np.eye(3)])
+    points = (nodes[:, None] + tips).reshape(-1, 3)
+    if cuts == 0 or len(nodes) < 2 or len(nodes) >= SLANTED_CONVEXITY * ConvexHull(points).volume:
+        return [points]
+    centered = nodes - nodes.mean(axis=0)
+    along = centered @ np.linalg.eigh(centered.T @ centered)[1][:, -1]
+    is_first = along < 0.0
+    return [part for half in (nodes[is_first], nodes[~is_first]) for part in _parts_by_length(half, cuts - 1)]
+
+
+def _pieces(solid: Mask, field: SolidField, cuts: int, slab_price: float) -> tuple[list[Array], int]:
+    """Corner points of the pieces with so many cuts per part and one price per slab, and how many cells they share with the solid."""
+    pieces, covered = [], 0
     for low, high in _slabs(solid, slab_price):
         # A cell belongs to the slab's plan when it is solid in at least half of its layers: else one noisy layer rules.
         plan = solid[:, :, low:high].sum(axis=2) * 2 >= high - low
@@ -71,7 +99,8 @@ def _pieces(solid: Mask, field: SolidField, cuts: int, slab_price: float) -> lis
             for part in _convex_parts(body, cuts):
                 if part.sum() * (high - low) >= MIN_PIECE_CELLS:
                     pieces.append(_corners(part, low, high, field))
-    return pieces
+                    covered += int(solid[:, :, low:high][part].sum())
+    return pieces, covered
 
 
 def _bodies(plan: Mask) -> list[Mask]:

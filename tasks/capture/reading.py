@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tasks.capture.storeys.levels import Levels
 from tasks.geometry.meshes import Surface
+from tasks.geometry.transforms import transform_points
 
 if TYPE_CHECKING:
     import trimesh
@@ -57,6 +58,25 @@ class Group:
 
 
 @dataclasses.dataclass(frozen=True)
+class StatedRoom:
+    """Facts about the room itself that a file states, in the scan frame.
+
+    openings: corners of each opening without a door or window [m], shapes (n, 3).
+    outline: corners of the floor in order [m], shape (n, 3); None if it has several parts or holes.
+    has_height: true if the file states how high its walls are.
+    """
+
+    openings: tuple[NDArray[np.float64], ...] = ()
+    outline: NDArray[np.float64] | None = None
+    has_height: bool = False
+
+    def moved(self, pose: NDArray[np.float64]) -> StatedRoom:
+        """The same facts in another frame. pose: scan frame to that frame, 4x4 [m]."""
+        outline = None if self.outline is None else transform_points(self.outline, pose)
+        return StatedRoom(tuple(transform_points(corners, pose) for corners in self.openings), outline, self.has_height)
+
+
+@dataclasses.dataclass(frozen=True)
 class Reading:
     """A scan as read.
 
@@ -70,6 +90,7 @@ class Reading:
     materials: Which of its textures each face of `surface` has, shape (m,) int64, where the scan names no instances and has several.
     is_modelled: Of formats that state surfaces or boxes alone: whether it is boxes, which somebody drew; see `ScanFormat`.
     levels: Storeys of scans that state them, heights in the scan frame [m]; None to find them in the geometry.
+    stated: Openings and outline of the room, where the file states them.
     is_dense: Vertices lie as densely as a depth sensor leaves them, so that they can stand for the surface.
     """
 
@@ -87,6 +108,7 @@ class Reading:
     materials: NDArray[np.int64] | None = None
     from_file: NDArray[np.float64] | None = None
     levels: Levels | None = None
+    stated: StatedRoom = StatedRoom()
 
     @property
     def to_original(self) -> NDArray[np.float64]:

@@ -25,14 +25,16 @@ from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_
 from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
 from tasks.capture.instances.split import rejoined
 from tasks.capture.instances.views import Sight, best_sights, run_lengths, view_of
-from tasks.capture.labels import CEILING, DOOR, WALL, WINDOW, Label, LabelMap, label_map
+from tasks.capture.labels import DOOR, WALL, WINDOW, Label, LabelMap, label_map
 from tasks.capture.leveling import aligned, height_notes, read_with_meanings
 from tasks.capture.poses.provider import PosesConfig, with_poses
-from tasks.capture.reading import FrameSource, Group, Reading
+from tasks.capture.reading import FrameSource, Group, Reading, StatedRoom
 from tasks.capture.rooms.alignment import Alignment
+from tasks.capture.rooms.heights import with_plausible_height
 from tasks.capture.rooms.leaves import whole_leaves
 from tasks.capture.rooms.lintels import lintels
 from tasks.capture.rooms.openings import wall_openings
+from tasks.capture.rooms.plausibility import size_notes
 from tasks.capture.rooms.room import estimate_room, floor_points
 from tasks.capture.rooms.rows import parted
 from tasks.capture.rooms.separation import Seen
@@ -99,8 +101,8 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         surface, fusion_notes = fused_surface(reading.frames, config.fusion, scan.path.name)
         notes += fusion_notes
     alignment = aligned(reading, surface, meanings, config.votes, is_authored=is_modelled)
-    notes += [*alignment.notes, *height_notes(reading.frames, alignment.pose)]
     world = surface.transformed(alignment.pose)
+    notes += [*alignment.notes, *height_notes(reading.frames, alignment.pose), *size_notes(world.vertices, scan.path.name)]
     notes += advice(stated_or_found(reading.levels, alignment.pose, world, config.storeys), scan.path)
     groups, probabilities = reading.groups, {}
     if groups is None:
@@ -262,7 +264,7 @@ def _interior(
     ]  # fmt: skip
     cloud = cloud_of(world, groups, geometry.is_dense, rng)
     classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
-    shell, is_seen, leaves = _shell(scene_id, cloud, classes, meanings, solids, notes, is_modelled)
+    shell, is_seen, leaves = _shell(scene_id, cloud, classes, meanings, solids, notes, is_modelled, geometry.stated.moved(pose))
     if not is_modelled:
         rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell, leaves)
     shell, rooms, rows = parted(shell, rows, geometry.room_type, is_seen)
@@ -330,20 +332,20 @@ def _with_views(
 
 def _shell(
     scene_id: str, cloud: Cloud, classes: NDArray[np.int64], meanings: Sequence[Label],
-    solids: Sequence[InstancePoints], notes: list[str], is_modelled: bool,
+    solids: Sequence[InstancePoints], notes: list[str], is_modelled: bool, stated: StatedRoom,
 ) -> tuple[Shell, Seen | None, dict[int, NDArray[np.float64]]]:  # fmt: skip
     """The row of the shell, where floor and walls were seen, and of doors and windows that were seen in part, by number, corners of
     the whole [m], shape (8, 3)."""
-    shape = estimate_room(cloud, classes)
+    shape = estimate_room(cloud, classes, stated.outline)
     notes += shape.notes
-    if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
-        notes.append(f"no ceiling seen: height taken from the {shape.height_source}")
+    shape, remarks = with_plausible_height(shape, is_modelled or stated.has_height)
+    notes += remarks
     fillings = {i: solids[i].points for i, label in enumerate(meanings) if label.nyu40_id in (DOOR, WINDOW) or _is_let_in(label)}
     lines, names = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].category.split() for i in fillings]
     is_door, of_house = [not name[-1].startswith("window") for name in names], [name[0] not in FURNITURE_WITH_DOORS for name in names]
     whole = whole_leaves(*lines, list(fillings.values()), is_door, cloud.points[classes == WALL], of_house)
     leaves = {i: corners for i, corners in zip(fillings, whole, strict=True) if corners is not None and not is_modelled}
-    openings = wall_openings(*lines, list((fillings | leaves).values()))
+    openings = wall_openings(*lines, list((fillings | leaves).values()), stated.openings)
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
     doors = [points for points, door in zip((fillings | leaves).values(), is_door, strict=True) if door]
     over = lintels(cloud, classes == WALL, shape.polygon, shape.interior_walls, doors)

@@ -17,6 +17,7 @@ from tasks.geometry.transforms import matrix
 from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.interior import Interior
 from tasks.optimization.proposals import Proposal
+from tasks.optimization.support.supports import Carrier
 
 MOST_ROUNDS = 5
 """How often assets are taken for others."""
@@ -43,6 +44,9 @@ SMALLER_NOTE = "made smaller to leave its neighbors their place"
 LEAST_SCALE = 0.5
 """Smaller than this share of what was selected, an asset is another object."""
 
+MAX_DROP_M = 0.1
+"""Lower bound of a gap: surfaces of scans and boxes are off by a few centimeters, as `SupportConfig.reach_m` has it."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Fitting:
@@ -61,7 +65,8 @@ def fit_together(
     """The proposals, those of them that are deeper in each other than `depth` [m] replaced. What people chose stays as it is.
 
     Of two the one that fills more of what was seen not to be its own gives way, of equal ones the one that carries nothing, then the
-    smaller: to the best candidate that fills less, and where there is none, it is made smaller.
+    smaller: to the best candidate that fills less, and where there is none, it is made smaller. Where that would let fall what it
+    carries (a shelf without its boards), it stays, and the other one gives way.
     """
     ranked: dict[str, list[Selection]] = defaultdict(list)
     for row in sorted(selections, key=lambda s: (s.instance_id, s.rank)):
@@ -71,19 +76,28 @@ def fit_together(
     first = dict(chosen)
     reasons: dict[str, str] = {}
     interior, left_out = furnish(tuple(chosen.values()))
+    needed: set[str] = set()
     for _ in range(MOST_ROUNDS):
-        changed = False
-        for name in _giving_way(interior, Colliders(interior.solids).penetrations(interior.poses), ranked, chosen, depth):
-            other = _other(chosen[name], ranked[name])
-            if other is not None:
-                chosen[name], changed = other, True
-                is_other = other.asset_id != first[name].asset_id
-                reasons[name] = OTHER_NOTE if is_other else ""
-                if (other.scale < (1 - 1e-9) * _selected(other, ranked[name])).any():
-                    reasons[name] = "; ".join(filter(None, [reasons[name], SMALLER_NOTE]))
-        if not changed:
+        pairs = Colliders(interior.solids).penetrations(interior.poses)
+        while replacements := {
+            name: other
+            for name in _giving_way(interior, pairs, ranked, chosen, depth, needed)
+            if (other := _other(chosen[name], ranked[name])) is not None
+        }:
+            changed, missing = furnish(tuple((chosen | replacements).values()))
+            dropping = _dropping(interior, changed, replacements)
+            if not dropping:
+                break
+            needed |= dropping
+        if not replacements:
             break
-        interior, left_out = furnish(tuple(chosen.values()))
+        chosen |= replacements
+        interior, left_out = changed, missing
+        for name, other in replacements.items():
+            is_other = other.asset_id != first[name].asset_id
+            reasons[name] = OTHER_NOTE if is_other else ""
+            if (other.scale < (1 - 1e-9) * _selected(other, ranked[name])).any():
+                reasons[name] = "; ".join(filter(None, [reasons[name], SMALLER_NOTE]))
     notes = tuple(f"{name}: {text}" for name, text in sorted(reasons.items()))
     return Fitting(tuple(chosen.values()), interior, tuple(left_out), notes)
 
@@ -100,25 +114,47 @@ def yielding(
             ranked[row.instance_id].append(row)
     chosen = {p.instance.instance_id: p for p in fitting.proposals}
     notes = dict(note.split(": ", 1) for note in fitting.notes)
-    names = _giving_way(interior, stuck, ranked, chosen, 0.0, counts_walls=True)
-    alternatives = {
-        name: other for name in names if (other := _other(chosen[name], ranked[name])) and other.asset_id != chosen[name].asset_id
-    }
-    less = {
-        name: dataclasses.replace(chosen[name], scale=chosen[name].scale * [factor, factor, 1.0])
-        for name in names
-        for factor in [_little(interior, name, stuck)]
-    }
-    shrunk = {
-        name: p for name, p in less.items() if name not in alternatives and (p.scale >= LEAST_SCALE * _selected(p, ranked[name])).all()
-    }  # fmt: skip
-    if not shrunk and not alternatives:
-        return None
+    needed: set[str] = set()
+    while True:
+        names = _giving_way(interior, stuck, ranked, chosen, 0.0, needed, counts_walls=True)
+        alternatives = {
+            name: other for name in names if (other := _other(chosen[name], ranked[name])) and other.asset_id != chosen[name].asset_id
+        }
+        less = {
+            name: dataclasses.replace(chosen[name], scale=chosen[name].scale * [factor, factor, 1.0])
+            for name in names
+            for factor in [_little(interior, name, stuck)]
+        }
+        shrunk = {
+            name: p for name, p in less.items() if name not in alternatives and (p.scale >= LEAST_SCALE * _selected(p, ranked[name])).all()
+        }  # fmt: skip
+        if not shrunk and not alternatives:
+            return None
+        made, left_out = furnish(tuple((chosen | shrunk | alternatives).values()))
+        dropping = _dropping(fitting.interior, made, alternatives)
+        if not dropping:
+            break
+        needed |= dropping
     chosen |= shrunk | alternatives
     notes |= dict.fromkeys(alternatives, OTHER_NOTE)
     notes |= {name: "; ".join(sorted({*notes.get(name, SMALLER_NOTE).split("; "), SMALLER_NOTE})) for name in shrunk}
-    made, left_out = furnish(tuple(chosen.values()))
     return Fitting(tuple(chosen.values()), made, tuple(left_out), tuple(f"{name}: {text}" for name, text in sorted(notes.items())))
+
+
+def _dropping(before: Interior, after: Interior, replacements: Collection[str]) -> set[str]:
+    """The objects, of those taken for something else, that no longer carry a thing which then hangs in the air or drops."""
+    carriers = dict(zip(after.names, after.carriers, strict=True))
+    parents = {
+        carrier.parent_id
+        for name, carrier in zip(before.names, before.carriers, strict=True)
+        if not _is_loose(carrier) and name in carriers and _is_loose(carriers[name])
+    }
+    return {name for name in replacements if name in parents}
+
+
+def _is_loose(carrier: Carrier) -> bool:
+    """True if nothing near carries an object."""
+    return carrier.relation == "none" or carrier.gap > MAX_DROP_M
 
 
 def _little(interior: Interior, name: str, stuck: Sequence[Penetration]) -> float:
@@ -136,10 +172,10 @@ def _selected(proposal: Proposal, rows: Sequence[Selection]) -> np.ndarray:
 
 def _giving_way(
     interior: Interior, pairs: Sequence[Penetration], ranked: Mapping[str, Sequence[Selection]], chosen: Mapping[str, Proposal],
-    depth: float, counts_walls: bool = False,
+    depth: float, needed: Collection[str], counts_walls: bool = False,
 ) -> list[str]:  # fmt: skip
-    """The objects that give way to others, one of each pair that is deeper than `depth` [m]; where it counts, to walls as
-    well."""
+    """The objects that give way to others, one of each pair that is deeper than `depth` [m], but those in `needed`; where it
+    counts, to walls as well."""
     index = {name: i for i, name in enumerate(interior.names)}
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     carried = {(name, c.parent_id) for name, c in zip(interior.names, interior.carriers, strict=True) if c.relation == "on"}
@@ -157,7 +193,7 @@ def _giving_way(
             pair.b not in index
             and pair.depth_m > depth
             and counts_walls
-            and pair.a not in fixed | rugs
+            and pair.a not in {*fixed, *rugs, *needed}
             and chosen[pair.a].origin == "selection"
         ):
             names.add(pair.a)
@@ -165,7 +201,7 @@ def _giving_way(
             continue
         if (pair.a, pair.b) in carried or (pair.b, pair.a) in carried:  # it is lifted out of its carrier
             continue
-        sides = [name for name in (pair.a, pair.b) if chosen[name].origin == "selection" and name not in rugs]
+        sides = [name for name in (pair.a, pair.b) if chosen[name].origin == "selection" and name not in {*rugs, *needed}]
         if sides and not names & {pair.a, pair.b}:
             names.add(
                 max(

@@ -120,10 +120,10 @@ L_SHAPE = ((0.0, 0.0), (5.0, 0.0), (5.0, 2.0), (2.0, 2.0), (2.0, 4.0), (0.0, 4.0
 
 @given(
     polygon=st.sampled_from([SQUARE, U_SHAPE, L_SHAPE]), wall=st.integers(0, 7), ends=st.sampled_from([(0.0, 1.0), (0.0, 0.4), (0.3, 1.0)]),
-    depth=st.floats(0.0, 0.46), top=st.sampled_from([0.8, 2.0, HEIGHT]), seed=st.integers(0, 5),
+    depth=st.floats(0.01, 0.46), top=st.sampled_from([0.8, 2.0, HEIGHT]), seed=st.integers(0, 5),
 )  # fmt: skip
 @settings(max_examples=60, deadline=None)
-def test_a_room_is_closed_around_and_free_inside_whatever_is_cut(
+def test_a_room_is_closed_around_and_free_inside_whatever_is_filled(
     polygon: tuple[tuple[float, float], ...], wall: int, ends: tuple[float, float], depth: float, top: float, seed: int
 ) -> None:
     start, end = (np.array(polygon[(wall + i) % len(polygon)]) for i in range(2))

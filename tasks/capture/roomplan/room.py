@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.capture.reading import Reading
+from tasks.capture.reading import Reading, StatedRoom
 from tasks.capture.roomplan.elements import RoomElement
 from tasks.capture.roomplan.floors import storeys_of
-from tasks.capture.roomplan.surfaces import ElementPart, assembled, box_part, panel_part, sheets_of, wall_parts
-from tasks.geometry.transforms import Y_UP_TO_Z_UP
+from tasks.capture.roomplan.surfaces import ElementPart, assembled, box_part, corners_of, panel_part, sheets_of, wall_parts
+from tasks.geometry.transforms import Y_UP_TO_Z_UP, transform_points
 
 if TYPE_CHECKING:
     import trimesh
@@ -66,7 +66,26 @@ def room_reading(
         degradations=(BY_PRIMS if drawn.meshes else NO_SURFACE, *notes, *curves, *wall_notes, *storeys.notes, *whole.notes),
         from_file=Y_UP_TO_Z_UP,
         levels=storeys.levels,
+        stated=StatedRoom(
+            tuple(transform_points(corners_of(opening), opening.pose) for opening in listed["openings"]),
+            outline_of_floors([floor.part for floor in storeys.floors]) if storeys.levels is None else None,
+            has_height=True,
+        ),
     )
+
+
+def outline_of_floors(parts: Sequence[trimesh.Trimesh]) -> NDArray[np.float64] | None:
+    """Corners of the ground that floors cover, at the height of the first [m], shape (n, 3); None for pieces or holes."""
+    import shapely
+
+    triangles = [part.triangles[:, :, :2] for part in parts if len(part.faces)]
+    if not triangles:
+        return None
+    ground = shapely.union_all(shapely.polygons(np.concatenate(triangles)), grid_size=1e-4).simplify(1e-3)
+    if ground.geom_type != "Polygon" or ground.interiors:
+        return None
+    ring = np.asarray(ground.exterior.coords)[:-1]
+    return np.column_stack([ring, np.full(len(ring), float(parts[0].bounds[0, 2]))])
 
 
 def _own(label: str, field: str, part: trimesh.Trimesh, drawn: ElementMeshes) -> trimesh.Trimesh:

@@ -7,21 +7,13 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.capture.rooms.floor_levels import BAND_M, MIN_FLOOR_M2, Facets, SeenLevel, facets, floor_height, level_height, other_floor
 from tasks.capture.rooms.sharpness import sharpness
 from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import flat, matrix, translation, yaw_pose
 from tasks.geometry.triangles import face_areas
 
 Array = NDArray[np.float64]
-
-BAND_M = 0.04
-"""Depth noise of a floor that was fused in a room: vertices this near to the plane count as floor. Of nearer things less is enough."""
-
-_MIN_FLOOR_M2 = 0.25
-"""Less than the free floor between a desk and a wall cannot be told from a low shelf."""
-
-_BELOW_SHARE = 0.03
-"""Share of the surface that may lie below the floor: reflections and stray depth, not a lower storey."""
 
 _ENOUGH_FACES = 150_000
 """Faces that the estimate is made of: a room's floor still has some ten thousand."""
@@ -43,43 +35,6 @@ class Alignment:
     source: str
     floor_tilt: float
     notes: tuple[str, ...]
-
-
-@dataclasses.dataclass(frozen=True)
-class SeenLevel:
-    """What frames say of a scan that was fused from them. up: In the scan frame, unit, shape (3,). height: Of the lowest level that they
-    see, along it [m]; None where they see none. band_m: Depth noise of its surface [m]."""
-
-    up: Array
-    height: float | None
-    band_m: float = BAND_M
-
-
-@dataclasses.dataclass(frozen=True)
-class Facets:
-    """Faces as planes, in the frame of their surface: centers [m] (m, 3), unit normals (m, 3), areas [m2] (m,)."""
-
-    centers: Array
-    normals: Array
-    areas: Array
-    corners: Array
-
-    def turned(self, rotation: Array) -> Facets:
-        """The faces turned by a 3x3 rotation."""
-        return Facets(self.centers @ rotation.T, self.normals @ rotation.T, self.areas, self.corners @ rotation.T)
-
-    def chosen(self, where: NDArray[np.bool_]) -> Facets:
-        """The faces where `where`, shape (m,), is set."""
-        return Facets(self.centers[where], self.normals[where], self.areas[where], self.corners[where])
-
-
-def facets(corners: Array, weight: float = 1.0) -> Facets:
-    """Faces by their three corners [m], shape (m, 3, 3), as planes, each standing for `weight` faces; those without area are left out."""
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(cross, axis=1)
-    solid = length > 1e-12
-    corners, cross, length = corners[solid], cross[solid], length[solid]
-    return Facets(corners.mean(axis=1), cross / length[:, None], 0.5 * weight * length, corners)
 
 
 def align(
@@ -122,12 +77,9 @@ def align(
     if yaw is None:
         notes.append("no walls or other vertical faces seen: yaw left as scanned")
         yaw = 0.0
-    band = BAND_M if level is None else level.band_m
-    height = floor_height(faces.turned(rotation), floor.turned(rotation) if floor is not None else None, band)
+    height = level_height(faces.turned(rotation), floor.turned(rotation) if floor is not None else None, level, rotation[2])
     tilt = _tilt(floor or faces, rotation.T[:, 2])
     points = surface.vertices @ (yaw_pose(-yaw)[:3, :3] @ rotation).T
-    if height is None and level is not None:
-        height = level.height
     if height is None:
         notes.append("no floor seen: the lowest points are taken for its height")
         height = float(np.percentile(points[:, 2], 0.5))
@@ -165,11 +117,13 @@ def _up(faces: Facets, floor: Facets | None, seen: SeenLevel | None) -> tuple[Ar
     band = BAND_M if seen is None else seen.band_m
     if seen is not None:
         guesses = [seen.up / np.linalg.norm(seen.up)]
-    if floor is not None and floor.areas.sum() > _MIN_FLOOR_M2:
+    if floor is not None and floor.areas.sum() > MIN_FLOOR_M2:
         normal = fitted_normal(floor, (floor.normals * floor.areas[:, None]).sum(axis=0))
         if normal is not None:
             inside = faces.centers.mean(axis=0) - floor.centers.mean(axis=0)
             return (normal if normal @ inside > 0 else -normal), []
+    if seen is not None and (normal := _level_normal(faces, seen, guesses[0])) is not None:
+        return normal, []
     for guess in guesses:
         up = gravity_aligned(faces, guess)
         turned = faces.turned(rotation_to_z(up))
@@ -178,6 +132,22 @@ def _up(faces: Facets, floor: Facets | None, seen: SeenLevel | None) -> tuple[Ar
             normal = fitted_normal(faces.chosen(near), up)
             return (normal if normal is not None and normal @ up > np.cos(np.deg2rad(10)) else up), []
     return guesses[0], ["no floor seen: up taken from the " + ("frames" if seen is not None else "scan's z axis")]
+
+
+def _level_normal(faces: Facets, seen: SeenLevel, guess: Array) -> Array | None:
+    """Normal of the level that frames show, shape (3,); None if it spans no plane, or the surface has another floor.
+
+    The fused surface near that level has tops of things on it: only the level's own points tell how it lies. A floor that
+    lies elsewhere is larger than the patch that the frames show, and tells better.
+    """
+    normal = fitted_normal(seen.facets, guess)
+    if normal is None or normal @ guess <= np.cos(np.deg2rad(10)):
+        return None
+    up = gravity_aligned(faces, guess)
+    up = up if up @ guess > np.cos(np.deg2rad(10)) else normal
+    level = seen.height_along(up)
+    is_floor = level is None or other_floor(faces.turned(rotation_to_z(up)), level, seen.band_m) is None
+    return normal if is_floor else None
 
 
 def gravity_aligned(faces: Facets, guess: Array) -> Array:
@@ -199,46 +169,6 @@ def gravity_aligned(faces: Facets, guess: Array) -> Array:
         candidate = np.linalg.eigh(scatter)[1][:, 0]
         up = candidate * (1.0 if candidate @ up >= 0 else -1.0)
     return up
-
-
-def floor_height(faces: Facets, floor: Facets | None, band: float = BAND_M) -> float | None:
-    """Height of the floor [m] in a frame whose z axis is up; None when nothing level and low enough is seen.
-
-    The lowest level of at least `_MIN_FLOOR_M2` that is not dwarfed by a level above it and has hardly anything below.
-    """
-    source = floor if floor is not None else faces
-    level = np.abs(source.normals[:, 2]) > np.cos(np.deg2rad(20))
-    heights, areas = source.centers[level, 2], source.areas[level]
-    if not len(heights) or areas.sum() < _MIN_FLOOR_M2:
-        return _weighted_median(source.centers[:, 2], source.areas) if floor is not None else None
-    if floor is not None:
-        # Of a slab, the upper side; of a scan whose faces are turned the wrong way round, whatever there is.
-        upward = source.normals[level, 2] > 0
-        return _weighted_median(heights[upward], areas[upward]) if upward.mean() > 0.1 else _weighted_median(heights, areas)
-    below = np.argsort(faces.centers[:, 2])
-    share = np.cumsum(faces.areas[below]) / faces.areas.sum()
-    ceiling_of_noise = float(faces.centers[below, 2][np.searchsorted(share, _BELOW_SHARE)])
-    start = heights.min()
-    bins = np.floor((heights - start) / 0.02).astype(np.int64)
-    if bins.max() > 100_000:
-        return None
-    by_bin = np.bincount(bins, weights=areas, minlength=5)
-    filled = np.convolve(by_bin, np.ones(5), mode="same")
-    centers = start + (np.arange(len(filled)) + 0.5) * 0.02
-    reach = centers <= ceiling_of_noise + 0.35
-    enough = (filled >= max(_MIN_FLOOR_M2, 0.08 * filled.max())) & reach
-    if not enough.any():
-        return None
-    first = int(np.argmax(enough))
-    stop = min(first + 8, len(filled))
-    peak = first + int(np.argmax(filled[first:stop]))
-    # All bins around a thin floor are as full; a platform a little above it must not draw its height up.
-    window = slice(max(peak - 2, 0), peak + 3)
-    three = np.convolve(by_bin, np.ones(3), mode="same")
-    crests = (three >= np.append(three[1:], 0.0)) & (three >= np.append(0.0, three[:-1])) & (three >= 0.5 * three[window].max())
-    peak = window.start + int(np.argmax(crests[window])) if crests[window].any() else peak
-    near = np.abs(heights - centers[peak]) < band
-    return _weighted_median(heights[near], areas[near])
 
 
 def dominant_yaw(faces: Facets) -> float | None:
@@ -340,9 +270,3 @@ def _tilt(faces: Facets, up: Array) -> float:
         near = (np.abs(turned.centers[:, 2] - height) < 2 * BAND_M) & (np.abs(turned.normals[:, 2]) > 0.9)
         normal = fitted_normal(faces.chosen(near), up)
     return float(np.arccos(np.clip((normal if normal is not None else up)[2], -1.0, 1.0)))
-
-
-def _weighted_median(values: Array, weights: Array) -> float:
-    order = np.argsort(values, kind="stable")
-    total = np.cumsum(weights[order])
-    return float(values[order][min(int(np.searchsorted(total, 0.5 * total[-1])), len(values) - 1)])

@@ -67,20 +67,23 @@ def wall_lines(polygon: Array, interior_walls: Array) -> list[WallLine]:
     return [_line(a, b, reach) for a, b, reach in ends if np.hypot(*(b - a)) > _LEAST_M]
 
 
-def wall_openings(polygon: Array, interior_walls: Array, height: float, fillings: Sequence[Array]) -> tuple[tuple[float, ...], ...]:
+def wall_openings(
+    polygon: Array, interior_walls: Array, height: float, fillings: Sequence[Array], passages: Sequence[Array] = ()
+) -> tuple[tuple[float, ...], ...]:
     """Openings as rows x0, y0, x1, y1, bottom, top, depth [m] in the world frame, in the order of walls.
 
     polygon: Floor's corners, counter-clockwise, shape (n, 2). interior_walls: Rows x0, y0, x1, y1, thickness, height, shape (k, 6).
-    fillings: Points of every door and window, shape (m, 3) each. Depth is how far a filling reaches behind the inner face of an
-    outer wall, and 0 for interior walls, which openings go through. Openings that overlap are one.
+    fillings: Points of every door and window, shape (m, 3) each. passages: Corners of openings that nothing fills, shape (m, 3) each.
+    Depth is how far a filling reaches behind the inner face of an outer wall, and 0 where the opening goes through: for passages and
+    interior walls. Openings that overlap are one, with the filling that one of them has.
     """
     lines = wall_lines(polygon, interior_walls)
     rectangles: list[list[list[float]]] = [[] for _ in lines]
-    for points in fillings:
+    for points, is_filled in [*((points, True) for points in fillings), *((points, False) for points in passages)]:
         fits = [(fit, i) for i, line in enumerate(lines) if (fit := _fit(line, points, height)) is not None]
         if fits:
             (_, rectangle), which = min(fits)
-            rectangles[which].append(rectangle)
+            rectangles[which].append(rectangle if is_filled else [*rectangle[:4], 0.0])
     rows = []
     for line, own in zip(lines, rectangles, strict=True):
         for low, high, bottom, top, depth in _merged(own):

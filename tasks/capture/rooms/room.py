@@ -54,6 +54,12 @@ _PATCHES_M, _ROOM_M = 0.15, 0.4
 _AROUND_M = 0.15
 """Left around the box of furniture where nobody knows of walls: no simplified outline cuts it [m]."""
 
+_MIN_SLANT_DEGREES, _MIN_SLANTED_M = 8.0, 0.2
+"""Angle to the axes and length [m] from which on a stated edge is a wall of its own, not noise of walls along the axes."""
+
+NO_ROOM = "not a room: no walls are in the scan; those of its replica stand around the floor and the objects that it shows"
+"""Said of scans of things: a figure on a plate, a table."""
+
 _TALL_M = 1.2
 """Upright surface that nobody named is a wall where it is as high in one place: furniture behind it stands in another room."""
 
@@ -109,13 +115,23 @@ def _median_color(parts: Iterable[tuple[NDArray[np.uint8], Label]], nyu40: int) 
     return tuple(int(value) for value in np.median(np.concatenate(colors), axis=0)) if colors else None
 
 
-def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
-    """The room around a scan. `nyu40`: NYU40 class of each point of the cloud, 0 for none, shape (n,)."""
+def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None = None) -> RoomShape:
+    """The room around a scan.
+
+    Args:
+        cloud: points of the scan in the world frame.
+        nyu40: NYU40 class of each point of the cloud, 0 for none, shape (n,).
+        stated: corners of the floor as a file states them in the world frame [m], shape (n, 3); used if an edge is slanted.
+    """
+    import shapely
+
     kinds = _kinds(cloud, nyu40)
     height, height_source = _height(cloud, kinds)
     plan = FloorCells.of(cloud, kinds, height)
     notes: list[str] = []
-    outline = plan.outline()
+    outline, lines = plan.outline(), [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
+    if not (nyu40 == WALL).any() and not any(map(len, lines)):
+        notes.append(NO_ROOM)
     if outline is None:
         low, high = (np.percentile(cloud.points[:, :2], q, axis=0) for q in (0.5, 99.5))
         high = np.maximum(high, low + 0.2)
@@ -123,12 +139,14 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
         notes.append("no floor to be seen: its polygon is the extent of the scan")
         area, walls, inner = float(np.prod(high - low)), _edges(polygon), np.zeros((0, 6))
         return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
-    lines = [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
     has_walls = bool((nyu40 == WALL).any()) or min(map(len, lines)) >= 2
     outline, missed = _with_furniture(outline, cloud, kinds, has_walls)
     if missed > 0.0:
         notes.append(f"the floor was seen in patches: {missed:.1f} m2 under and around furniture are added to its polygon")
-    if has_walls:
+    if stated is not None and _is_slanted(stated):
+        # Rectangles between walls along the axes would fill a chamfered corner.
+        shape, is_snapped = shapely.Polygon(stated[:, :2]), True
+    elif has_walls:
         shape, is_snapped = _snapped(plan, outline, lines, cloud, kinds)
     else:
         shape, is_snapped = outline.simplify(0.5 * _AROUND_M), False
@@ -142,6 +160,14 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
     inner = np.array([slab.row for slab in slabs]).reshape(-1, 6)
     slopes = slanted_walls(cloud, np.isin(kinds, (WALL, CEILING)), polygon, inner, height)
     return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more), plan.is_seen, tuple(slopes))
+
+
+def _is_slanted(ring: Array) -> bool:
+    """True if an edge of a ring, corners of shape (n, 3), is long enough for a wall and runs along no axis."""
+    edges = (np.roll(ring, -1, axis=0) - ring)[:, :2]
+    lengths = np.hypot(*edges.T)
+    off_axis = np.abs(edges).min(axis=1) > np.sin(np.deg2rad(_MIN_SLANT_DEGREES)) * lengths
+    return bool((off_axis & (lengths >= _MIN_SLANTED_M)).any())
 
 
 def floor_points(cloud: Cloud, nyu40: NDArray[np.int64]) -> NDArray[np.float64]:

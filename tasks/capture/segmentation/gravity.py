@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tasks.capture.instances.views import camera_up, chosen_frames
 from tasks.capture.reading import FrameSource
-from tasks.capture.rooms.alignment import BAND_M, SeenLevel
+from tasks.capture.rooms.floor_levels import BAND_M, SeenLevel
 from tasks.capture.segmentation.frame import FrameConfig
 from tasks.capture.segmentation.organized import organized_frame
 from tasks.capture.segmentation.planes import MIN_ANGLE_COS, FramePlane, FramePlanes, frame_planes
@@ -23,8 +23,18 @@ _MOST_FRAMES = 12
 _AGREE_DEGREES = 6.0
 """Between two frames' supports: their noise, and a tracker's drift."""
 
-_SAME_LEVEL_M, _LEAST_M2 = 0.05, 0.15
-"""Between frames' views of one level [m]; and least of it that is seen, over all frames [m2]: less is the lid of a box."""
+_SAME_LEVEL_M, _LEAST_M2 = 0.025, 0.15
+"""Between frames' views of one level and its middle [m], drift of poses; and least of it that is seen, over all frames [m2]: less is the
+lid of a box."""
+
+_STOREY_M = 0.1
+"""Levels farther apart are a table and the floor, not one floor by poses that drift; as `PlaneConfig.storey_m` has it."""
+
+_LEVEL_POINTS = 4000
+"""Of a level, points by which its height is told: its median is then known to a fiftieth of the depth noise."""
+
+_LEVEL_ROUNDS = 8
+"""Times that the middle of a level moves to the mean of those around it: each halves the way that is left."""
 
 _BAND_SPACINGS, _LEAST_BAND_M = 3.0, 0.01
 """Depth noise of a fused floor in distances of its vertices; and least [m]."""
@@ -59,7 +69,7 @@ def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfi
             up = mean / np.linalg.norm(mean)
             return SeenLevel(up, _lowest(seen, up), band)
     up = camera_up(frames)
-    return None if up is None else SeenLevel(up, None, band)
+    return None if up is None else SeenLevel(up, np.zeros((0, 3)), band)
 
 
 def _upward(supports: list[tuple[DepthView, FramePlane]]) -> list[tuple[DepthView, FramePlane]]:
@@ -75,20 +85,30 @@ def _planes(view: DepthView, config: FrameConfig) -> FramePlanes:
     return frame_planes(frame, config.planes)
 
 
-def _lowest(seen: Sequence[tuple[DepthView, FramePlanes]], up: Array) -> float | None:
-    """Height along `up` of the lowest level of which enough is seen [m]."""
-    heights, areas = [], []
-    for view, planes in seen:
-        for each in (planes.support, *planes.lower, *planes.tops):
-            if each is not None and view.pose[:3, :3] @ each.plane.normal @ up > np.cos(np.deg2rad(_AGREE_DEGREES)):
-                heights.append(float(np.median(view.points()[each.pixels] @ up)))
-                areas.append(each.area_m2)
-    if not heights:
-        return None
-    height, area = np.array(heights), np.array(areas)
-    near = np.abs(height[:, None] - height[None, :]) < _SAME_LEVEL_M
-    total = near @ area
-    low = int(min(np.flatnonzero(total >= min(_LEAST_M2, total.max())), key=lambda index: height[index]))
-    order = np.argsort(height[near[low]])
-    half = np.searchsorted(np.cumsum(area[near[low]][order]), 0.5 * area[near[low]].sum())
-    return float(height[near[low]][order][min(int(half), int(near[low].sum()) - 1)])
+def _lowest(seen: Sequence[tuple[DepthView, FramePlanes]], up: Array) -> Array:
+    """Points of the lowest level along `up` of which enough is seen, in the scan frame [m], shape (n, 3)."""
+    levels = [
+        (view.points()[each.pixels], each.area_m2, is_carrier)
+        for view, planes in seen
+        for each, is_carrier in (*((own, True) for own in (planes.support, *planes.lower)), *((top, False) for top in planes.tops))
+        if each is not None and view.pose[:3, :3] @ each.plane.normal @ up > np.cos(np.deg2rad(_AGREE_DEGREES))
+    ]
+    if not levels:
+        return np.zeros((0, 3))
+    height = np.array([float(np.median(points @ up)) for points, _, _ in levels])
+    area, carries = np.array([area for _, area, _ in levels]), np.array([carries for _, _, carries in levels])
+    total = (np.abs(height[:, None] - height[None, :]) < _SAME_LEVEL_M) @ area
+    lowest = float(height[total >= min(_LEAST_M2, total.max())].min())
+    # Less than a storey above it what carries things is the same floor, by the poses of other frames: most of it is right.
+    is_near = (height >= lowest) & (height < lowest + _STOREY_M)
+    is_near &= carries if (is_near & carries).any() else True
+    middle = float(height[is_near][np.argmax(total[is_near])])
+    for _ in range(_LEVEL_ROUNDS):
+        near = np.abs(height - middle) < _SAME_LEVEL_M
+        # What carries things comes before tops that are as high within a tracker's drift.
+        chosen = near & carries if (near & carries).any() else near
+        middle = float(np.average(height[chosen], weights=area[chosen]))
+    counts = np.maximum(_LEVEL_POINTS * area / area[chosen].sum(), 1.0).astype(np.int64)
+    # Every plane gives points by its area, however many pixels it has.
+    rows = {k: np.linspace(0, len(levels[k][0]) - 1, counts[k]).round().astype(np.int64) for k in np.flatnonzero(chosen)}
+    return np.concatenate([levels[k][0][row] for k, row in rows.items()])

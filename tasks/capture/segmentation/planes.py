@@ -23,6 +23,10 @@ MIN_ANGLE_COS = 0.15
 _LEVEL_DEGREES = 20.0
 """Between a support and what is known to be up: a tracker's drift, and a plane of few pixels."""
 
+_MIN_CARRIER_SHARE, _MIN_AROUND_SHARE = 0.1, 0.5
+"""Least pixels of a table as a share of the level of things that hide it; and least share of that level within the
+outline of the table: a drawer or a shelf next to a table shows as many pixels, and lies on one side."""
+
 _RIVAL = 0.25
 """Share of the largest plane's pixels that another one needs to be the support in its place."""
 
@@ -88,6 +92,8 @@ def frame_planes(frame: OrganizedFrame, config: PlaneConfig, up: Array | None = 
     """
     planes = largest_planes(frame, config)
     support = _support(planes, up)
+    if support is not None:
+        support = _carrier(frame, support, planes, config)
     upward = support.plane.normal if support is not None else up
     if upward is None:
         return FramePlanes(None)
@@ -116,6 +122,31 @@ def _support(planes: list[FramePlane], up: Array | None) -> FramePlane | None:
     largest = max(int(each.pixels.sum()) for each in planes)
     upward = [each for each in planes if -each.plane.normal[1] > MIN_ANGLE_COS and each.pixels.sum() >= _RIVAL * largest]
     return max(upward or planes, key=lambda each: int(each.pixels.sum()))
+
+
+def _carrier(frame: OrganizedFrame, support: FramePlane, planes: list[FramePlane], config: PlaneConfig) -> FramePlane:
+    """The lowest level among and around the pixels of a support, less than a storey below it; the support if there is none.
+
+    Things of one height that stand close together show more of their tops than of the table below.
+    """
+    import shapely
+
+    cosine = np.cos(np.deg2rad(config.level_degrees))
+    first, second = np.linalg.svd(support.plane.normal[None])[2][1:]
+    plan = np.stack([frame.points @ first, frame.points @ second], axis=-1)
+    carrier, lowest = support, 0.0
+    for each in planes:
+        if float(each.plane.normal @ support.plane.normal) <= cosine:
+            continue
+        height = float(np.median(support.plane.heights(frame.points[each.pixels])))
+        clear = max(config.remove_m, config.remove_sigmas * float(np.median(frame.noise[each.pixels])))
+        if not -config.storey_m <= height < min(-clear, lowest) or each.pixels.sum() < _MIN_CARRIER_SHARE * support.pixels.sum():
+            continue
+        outline = shapely.LineString(plan[each.pixels]).convex_hull
+        shapely.prepare(outline)
+        if shapely.contains_xy(outline, plan[support.pixels]).mean() >= _MIN_AROUND_SHARE:
+            carrier, lowest = each, height
+    return carrier
 
 
 def _is_wall(frame: OrganizedFrame, each: FramePlane, support: FramePlane | None, config: PlaneConfig) -> bool:

@@ -28,3 +28,18 @@ def test_a_value_that_a_table_refuses_costs_its_slot(monkeypatch: pytest.MonkeyP
     assert field in (slots[5].reason or "")
     assert "Error" not in (slots[5].reason or "")
     assert sum(": slot 5 failed: " in note for note in outcome.degradations) == 1
+
+
+@pytest.mark.parametrize(("field", "value"), [("seen_share", 1.5), ("library_score", float("nan")), ("call_id", "no call")])
+def test_a_refused_row_of_a_candidate_costs_its_slot(monkeypatch: pytest.MonkeyPatch, field: str, value: object) -> None:
+    make = scan_crop.make_asset
+    changes: dict[str, Any] = {field: value}
+    monkeypatch.setattr(scan_crop, "make_asset", lambda *parts, **facts: dataclasses.replace(make(*parts, **facts), **changes))
+    outcome = candidates_of(furniture(1, "stool", (0.4, 0.4, 0.5), 0.2))
+    rows = outcome.rows["candidates"]
+    assert {row.slot for row in rows if row.outcome == "failed"} == {5, 6}
+    assert {row.slot for row in rows if row.outcome == "filled"} == {1, 2, 3, 4, 7, 8, 9, 10}
+    notes = [note for note in outcome.degradations if ": slot 5 failed: " in note]
+    assert len(notes) == 1
+    assert field in notes[0]
+    assert "\n" not in notes[0]

@@ -12,7 +12,7 @@ from shapely import MultiPoint, Polygon, box
 
 from tasks.capture.cloud import dense_cloud
 from tasks.capture.instances.segmentation import SegmentationConfig, geometry_instances
-from tasks.capture.rooms.alignment import facets, floor_height
+from tasks.capture.rooms.floor_levels import facets, floor_height
 from tasks.capture.rooms.room import estimate_room
 from tasks.geometry.meshes import Surface
 from tests.capture_scans import plate

@@ -11,7 +11,7 @@ from schemas.annotation import Annotation
 from tasks.geometry.transforms import translation
 from tasks.optimization import Default, Released
 from tests.samples import sample
-from tests.tasks.optimization.scenes import SCENE, Scene, block, bounds, poses_of, remains
+from tests.tasks.optimization.scenes import SCENE, SHELF, Scene, block, bounds, poses_of, remains
 
 
 def corner_sofa() -> tuple[Scene, str, str, str]:
@@ -152,6 +152,31 @@ def test_what_is_stuck_between_boards_is_taken_for_the_shape_that_leaves_them_th
     assert rows[shelf].displacement_m < 0.02
     (summary,) = outcome.rows["optimizations"]
     assert summary.deep_pairs == 0
+
+
+@pytest.mark.parametrize("overlap", [0.03, 0.2])
+def test_a_shelf_keeps_its_boards_while_things_stand_on_them(overlap: float) -> None:
+    """A box reaches through the board above it. The shape of the shelf that leaves it its place has no boards."""
+    scene = Scene()
+    shelf = scene.add(SHELF, np.eye(4), "bookshelf", known=SHELF)
+    stacks = [scene.add(block(0.2, 0.3, 0.2), translation([0.0, -0.2, z]), "book stack") for z in (0.52, 1.02)]
+    box = scene.add(block(0.2, 0.2, 0.46 + overlap), translation([0.0, 0.25, 0.52]), "box")
+    whole, fits = scene.asset(block(0.3, 0.8, 0.04)), scene.asset(block(0.2, 0.2, 0.4))
+    first = {row.instance_id: row for row in scene.selections}
+    scene.selections = [
+        dataclasses.replace(first[shelf], foreign_share=0.2),
+        dataclasses.replace(first[shelf], foreign_share=0.0, rank=2, slot=2, asset_id=whole),
+        dataclasses.replace(first[box], foreign_share=0.1),
+        dataclasses.replace(first[box], foreign_share=0.0, rank=2, slot=2, asset_id=fits),
+        *(dataclasses.replace(first[stack], foreign_share=0.0) for stack in stacks),
+    ]
+    outcome = scene.run()
+    rows = {row.instance_id: row for row in outcome.rows["placements"]}
+    assert (rows[shelf].asset_id, rows[box].asset_id) == (first[shelf].asset_id, fits)
+    assert {row.parent_id for row in outcome.rows["supports"] if row.instance_id in {box, *stacks}} == {shelf}
+    assert max(abs(row.lift_m) + row.displacement_m for row in rows.values()) < 0.02
+    assert set(remains(outcome).values()) == {None}
+    assert outcome.rows["optimizations"][0].deep_pairs == 0
 
 
 def test_what_is_stuck_between_walls_is_made_smaller_instead_of_sent_away() -> None:

@@ -57,7 +57,7 @@ def test_walls_that_level_cameras_see_are_not_what_carries_things(tmp_path: Path
     level, up = scan_level(reading_of(tmp_path / "room", views).frames, 0.02, FrameConfig()), np.array([0.0, 0.0, 1.0])
     assert level is not None
     assert np.degrees(np.arccos(min(1.0, float(level.up @ up)))) < 0.5
-    assert level.height == pytest.approx(0.0, abs=0.01)
+    assert level.height_along(level.up) == pytest.approx(0.0, abs=0.01)
 
 
 def test_pixels_of_the_room_are_those_whose_nearest_vertex_is(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_frames_without_depth_or_plane_leave_it_to_cameras(tmp_path: Path) -> No
     empty = dataclasses.replace(view, depth=np.zeros_like(view.depth))
     level = scan_level(reading_of(tmp_path / "table", [empty]).frames, 0.01, FrameConfig())
     assert level is not None
-    assert level.height is None
+    assert level.height_along(level.up) is None
     assert level.up == pytest.approx([0, -1, 0])
     assert scan_level((), 0.01, FrameConfig()) is None
 
