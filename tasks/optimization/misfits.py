@@ -76,19 +76,21 @@ def fit_together(
     first = dict(chosen)
     reasons: dict[str, str] = {}
     interior, left_out = furnish(tuple(chosen.values()))
-    needed: set[str] = set()
+    needed, refused = set[str](), set[tuple[str, str]]()
     for _ in range(MOST_ROUNDS):
         pairs = Colliders(interior.solids).penetrations(interior.poses)
         while replacements := {
             name: other
             for name in _giving_way(interior, pairs, ranked, chosen, depth, needed)
-            if (other := _other(chosen[name], ranked[name])) is not None
+            if (other := _other(chosen[name], ranked[name], refused)) is not None
         }:
             changed, missing = furnish(tuple((chosen | replacements).values()))
             dropping = _dropping(interior, changed, replacements)
             if not dropping:
                 break
-            needed |= dropping
+            refused |= {(name, replacements[name].asset_id) for name in dropping}
+            # Before it is made smaller, the other one of its pair gives way.
+            needed |= {name for name in dropping if not _has_other(chosen[name], ranked[name], refused)}
         if not replacements:
             break
         chosen |= replacements
@@ -114,27 +116,30 @@ def yielding(
             ranked[row.instance_id].append(row)
     chosen = {p.instance.instance_id: p for p in fitting.proposals}
     notes = dict(note.split(": ", 1) for note in fitting.notes)
-    needed: set[str] = set()
+    needed, kept, refused = set[str](), set[str](), set[tuple[str, str]]()
     while True:
         names = _giving_way(interior, stuck, ranked, chosen, 0.0, needed, counts_walls=True)
         alternatives = {
-            name: other for name in names if (other := _other(chosen[name], ranked[name])) and other.asset_id != chosen[name].asset_id
+            name: other
+            for name in names
+            if (other := _other(chosen[name], ranked[name], refused)) and other.asset_id != chosen[name].asset_id
         }
         less = {
             name: dataclasses.replace(chosen[name], scale=chosen[name].scale * [factor, factor, 1.0])
             for name in names
             for factor in [_little(interior, name, stuck)]
+            if name not in alternatives and name not in kept
         }
-        shrunk = {
-            name: p for name, p in less.items() if name not in alternatives and (p.scale >= LEAST_SCALE * _selected(p, ranked[name])).all()
-        }  # fmt: skip
+        shrunk = {name: p for name, p in less.items() if (p.scale >= LEAST_SCALE * _selected(p, ranked[name])).all()}
         if not shrunk and not alternatives:
             return None
         made, left_out = furnish(tuple((chosen | shrunk | alternatives).values()))
-        dropping = _dropping(fitting.interior, made, alternatives)
+        dropping = _dropping(fitting.interior, made, alternatives | shrunk)
         if not dropping:
             break
-        needed |= dropping
+        refused |= {(name, alternatives[name].asset_id) for name in dropping if name in alternatives}
+        kept |= {name for name in dropping if name in shrunk}
+        needed |= {name for name in dropping if not _has_other(chosen[name], ranked[name], refused)}
     chosen |= shrunk | alternatives
     notes |= dict.fromkeys(alternatives, OTHER_NOTE)
     notes |= {name: "; ".join(sorted({*notes.get(name, SMALLER_NOTE).split("; "), SMALLER_NOTE})) for name in shrunk}
@@ -142,14 +147,15 @@ def yielding(
 
 
 def _dropping(before: Interior, after: Interior, replacements: Collection[str]) -> set[str]:
-    """The objects, of those taken for something else, that no longer carry a thing which then hangs in the air or drops."""
+    """The objects, of those replaced, for which a thing hangs in the air or drops: itself if it was replaced, else what carried it."""
     carriers = dict(zip(after.names, after.carriers, strict=True))
-    parents = {
-        carrier.parent_id
+    loose = {
+        name: carrier.parent_id
         for name, carrier in zip(before.names, before.carriers, strict=True)
         if not _is_loose(carrier) and name in carriers and _is_loose(carriers[name])
     }
-    return {name for name in replacements if name in parents}
+    blamed = {name if name in replacements else parent for name, parent in loose.items()}
+    return {name for name in replacements if name in blamed}
 
 
 def _is_loose(carrier: Carrier) -> bool:
@@ -175,7 +181,7 @@ def _giving_way(
     depth: float, needed: Collection[str], counts_walls: bool = False,
 ) -> list[str]:  # fmt: skip
     """The objects that give way to others, one of each pair that is deeper than `depth` [m], but those in `needed`; where it
-    counts, to walls as well."""
+    counts, to walls as well, where no other one could."""
     index = {name: i for i, name in enumerate(interior.names)}
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     carried = {(name, c.parent_id) for name, c in zip(interior.names, interior.carriers, strict=True) if c.relation == "on"}
@@ -193,7 +199,7 @@ def _giving_way(
             pair.b not in index
             and pair.depth_m > depth
             and counts_walls
-            and pair.a not in {*fixed, *rugs, *needed}
+            and pair.a not in {*fixed, *rugs}
             and chosen[pair.a].origin == "selection"
         ):
             names.add(pair.a)
@@ -222,11 +228,20 @@ def _foreign(proposal: Proposal, rows: Sequence[Selection]) -> float:
     return next((row.foreign_share or 0.0 for row in rows if row.asset_id == proposal.asset_id), 0.0)
 
 
-def _other(proposal: Proposal, rows: Sequence[Selection]) -> Proposal | None:
-    """The best candidate that fills less foreign space than a proposal, else a smaller one; None where neither is left."""
+def _has_other(proposal: Proposal, rows: Sequence[Selection], refused: Collection[tuple[str, str]]) -> bool:
+    """True if another candidate that fills less foreign space is left."""
+    other = _other(proposal, rows, refused)
+    return other is not None and other.asset_id != proposal.asset_id
+
+
+def _other(proposal: Proposal, rows: Sequence[Selection], refused: Collection[tuple[str, str]]) -> Proposal | None:
+    """The best candidate that fills less foreign space than a proposal, else a smaller one; None where neither is left.
+
+    refused: Instances with assets that would let fall what the instance carries.
+    """
     foreign = _foreign(proposal, rows)
     for row in rows:
-        if (row.foreign_share or 0.0) < foreign - LESS:
+        if (row.foreign_share or 0.0) < foreign - LESS and (row.instance_id, row.asset_id) not in refused:
             return dataclasses.replace(proposal, asset_id=row.asset_id, pose=matrix(row.pose), scale=np.array(row.scale))
     smaller = proposal.scale * [SMALLER, SMALLER, 1.0]
     return dataclasses.replace(proposal, scale=smaller) if (smaller >= LEAST_SCALE * _selected(proposal, rows)).all() else None

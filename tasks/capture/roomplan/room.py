@@ -75,17 +75,18 @@ def room_reading(
 
 
 def outline_of_floors(parts: Sequence[trimesh.Trimesh]) -> NDArray[np.float64] | None:
-    """Corners of the ground that floors cover, at the height of the first [m], shape (n, 3); None for pieces or holes."""
+    """Corners of the ground that floors cover, at the height of the first one with an area [m], shape (n, 3); None for pieces or holes."""
     import shapely
 
-    triangles = [part.triangles[:, :, :2] for part in parts if len(part.faces)]
-    if not triangles:
+    solid = [part for part in parts if len(part.faces)]
+    if not solid:
         return None
+    triangles = [part.triangles[:, :, :2] for part in solid]
     ground = shapely.union_all(shapely.polygons(np.concatenate(triangles)), grid_size=1e-4).simplify(1e-3)
     if ground.geom_type != "Polygon" or ground.interiors:
         return None
     ring = np.asarray(ground.exterior.coords)[:-1]
-    return np.column_stack([ring, np.full(len(ring), float(parts[0].bounds[0, 2]))])
+    return np.column_stack([ring, np.full(len(ring), float(solid[0].bounds[0, 2]))])
 
 
 def _own(label: str, field: str, part: trimesh.Trimesh, drawn: ElementMeshes) -> trimesh.Trimesh:

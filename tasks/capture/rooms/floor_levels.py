@@ -116,7 +116,7 @@ def other_floor(turned: Facets, level: float, band: float) -> float | None:
     if lower is not None and (lower < level - _STOREY_M or area_around(lower) >= _MIN_LOWER_SHARE * area_around(level)):
         return lower
     own = floor_height(turned, None, band)
-    is_stray = own is not None and own > level + _MIN_STEP_M and area_around(level) < _MIN_LEVEL_SHARE * area_around(own)
+    is_stray = own is not None and own > level + _STOREY_M and area_around(level) < _MIN_LEVEL_SHARE * area_around(own)
     return own if is_stray else None
 
 

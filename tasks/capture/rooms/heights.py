@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from tasks.capture.rooms.room import RoomShape
+from tasks.capture.rooms.room import NO_ROOM, RoomShape
 
 MIN_SCANNED_M = 1.0
 """What is lower is a table or a shelf with its surroundings, not a room whose upper half was not scanned."""
@@ -27,6 +27,8 @@ def with_plausible_height(shape: RoomShape, is_stated: bool) -> tuple[RoomShape,
     """
     if shape.height_source == "ceiling":
         return shape, []
+    if NO_ROOM in shape.notes:
+        return shape, [f"no ceiling seen: height taken from the {shape.height_source}"]
     # Slanted walls end at the scanned height: with another one they would be steeper.
     if is_stated or shape.slopes or not MIN_SCANNED_M <= shape.height < MIN_ROOM_M:
         return shape, [f"no ceiling seen: height taken from the {shape.height_source}"]

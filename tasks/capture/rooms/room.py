@@ -21,7 +21,7 @@ from tasks.geometry.boxes import box_footprint
 from tasks.geometry.transforms import flat
 
 if TYPE_CHECKING:
-    from shapely import Polygon
+    from shapely import Geometry, Polygon
 
 Array = NDArray[np.float64]
 
@@ -56,6 +56,9 @@ _AROUND_M = 0.15
 
 _MIN_SLANT_DEGREES, _MIN_SLANTED_M = 8.0, 0.2
 """Angle to the axes and length [m] from which on a stated edge is a wall of its own, not noise of walls along the axes."""
+
+_MIN_SAME_SHARE = 0.85
+"""Share of the ground of a stated floor and an estimated one that both cover, from which on the stated one is the whole floor."""
 
 NO_ROOM = "not a room: no walls are in the scan; those of its replica stand around the floor and the objects that it shows"
 """Said of scans of things: a figure on a plate, a table."""
@@ -141,15 +144,15 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
         return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
     has_walls = bool((nyu40 == WALL).any()) or min(map(len, lines)) >= 2
     outline, missed = _with_furniture(outline, cloud, kinds, has_walls)
-    if missed > 0.0:
-        notes.append(f"the floor was seen in patches: {missed:.1f} m2 under and around furniture are added to its polygon")
-    if stated is not None and _is_slanted(stated):
-        # Rectangles between walls along the axes would fill a chamfered corner.
-        shape, is_snapped = shapely.Polygon(stated[:, :2]), True
-    elif has_walls:
+    if has_walls:
         shape, is_snapped = _snapped(plan, outline, lines, cloud, kinds)
     else:
         shape, is_snapped = outline.simplify(0.5 * _AROUND_M), False
+    if stated is not None and _is_slanted(stated) and _is_whole(stated, shape):
+        # Rectangles between walls along the axes would fill a chamfered corner.
+        shape, is_snapped, missed = shapely.Polygon(stated[:, :2]), True, 0.0
+    if missed > 0.0:
+        notes.append(f"the floor was seen in patches: {missed:.1f} m2 under and around furniture are added to its polygon")
     if plan.left_out_m2 > 1.0:
         notes.append(f"{plan.left_out_m2:.1f} m2 of floor not connected to the rest: left out of the polygon")
     polygon = _ring(shape)
@@ -160,6 +163,15 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
     inner = np.array([slab.row for slab in slabs]).reshape(-1, 6)
     slopes = slanted_walls(cloud, np.isin(kinds, (WALL, CEILING)), polygon, inner, height)
     return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more), plan.is_seen, tuple(slopes))
+
+
+def _is_whole(ring: Array, estimated: Geometry) -> bool:
+    """True if a stated floor, corners of shape (n, 3), and the estimated one cover the same ground: a file may hold a part of a floor."""
+    import shapely
+
+    stated = shapely.Polygon(ring[:, :2])
+    shared = stated.is_valid and float(stated.intersection(estimated).area) >= _MIN_SAME_SHARE * float(stated.union(estimated).area)
+    return bool(shared)
 
 
 def _is_slanted(ring: Array) -> bool:

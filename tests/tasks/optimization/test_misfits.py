@@ -179,6 +179,30 @@ def test_a_shelf_keeps_its_boards_while_things_stand_on_them(overlap: float) -> 
     assert outcome.rows["optimizations"][0].deep_pairs == 0
 
 
+def test_the_next_candidate_is_tried_where_the_first_would_drop_what_stands_on_it() -> None:
+    """The second shelf leaves the box its place and has no boards; the third leaves it its place and has them."""
+    scene = Scene()
+    shelf = scene.add(SHELF, np.eye(4), "bookshelf", known=SHELF)
+    stacks = [scene.add(block(0.2, 0.3, 0.2), translation([0.0, -0.2, z]), "book stack") for z in (0.52, 1.02)]
+    box = scene.add(block(0.2, 0.2, 0.66), translation([0.0, 0.25, 0.52]), "box")
+    lacking = [part for part in SHELF if not (part.bounds[0][2] > 0.9 and part.bounds[1][2] < 1.1)]
+    first = {row.instance_id: row for row in scene.selections}
+    boardless = scene.asset(block(0.3, 0.8, 0.04))
+    (board,) = block(0.3, 0.4, 0.02)
+    board.apply_translation([0.0, -0.2, 1.0])
+    fits = scene.asset([*lacking, board], known=[*lacking, board])
+    scene.selections = [
+        dataclasses.replace(first[shelf], foreign_share=0.2),
+        dataclasses.replace(first[shelf], foreign_share=0.0, rank=2, slot=2, asset_id=boardless),
+        dataclasses.replace(first[shelf], foreign_share=0.0, rank=3, slot=3, asset_id=fits),
+        dataclasses.replace(first[box], foreign_share=0.0),
+        *(dataclasses.replace(first[stack], foreign_share=0.0) for stack in stacks),
+    ]
+    rows = {row.instance_id: row for row in scene.run().rows["placements"]}
+    assert rows[shelf].asset_id == fits
+    assert max(abs(rows[stack].lift_m) for stack in stacks) < 0.03
+
+
 def test_what_is_stuck_between_walls_is_made_smaller_instead_of_sent_away() -> None:
     """A refrigerator that is 6 cm too wide for its niche."""
     scene = Scene()

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from schemas.capture import Shell
 from tasks.capture import CaptureConfig, find_scans, run
+from tasks.capture.roomplan.room import outline_of_floors
 from tasks.geometry.rendering import RayScene
 from tasks.shell import room_shell
 from tasks.stage import Context
@@ -29,10 +31,13 @@ def panel(
     return surface(category, pose, [float(np.hypot(x1 - x0, z1 - z0)) if width is None else width, height, 0])
 
 
-def shell_of(folder: Path, ring: list[tuple[float, float]], **lists: list[Element]) -> Shell:
+def shell_of(
+    folder: Path, ring: list[tuple[float, float]], ground: list[tuple[float, float]] | None = None, **lists: list[Element]
+) -> Shell:
+    """The shell of a room with walls along a ring, and a floor of that or another outline."""
     walls = [*(panel("wall", a, b) for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)), *lists.pop("inner", [])]
     pose = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
-    floor = surface("floor", pose, [4, 3, 0], polygonCorners=[[x, -z, 0] for x, z in ring])
+    floor = surface("floor", pose, [4, 3, 0], polygonCorners=[[x, -z, 0] for x, z in ground or ring])
     write(folder / "room", captured(walls=walls, floors=[floor], objects=[table()], **lists))
     (scan,), _ = find_scans(folder / "room")
     outcome = run(scan=scan, context=Context(scan.scene_id, "capture", 0, {}), config=CaptureConfig())
@@ -84,3 +89,17 @@ def test_a_chamfered_corner_follows_the_file(cut: float, tmp_path: Path) -> None
     assert corners == {(round(x, 2), round(-z, 2)) for x, z in ring}
     assert shell.floor_area_m2 == pytest.approx(12.0 - cut * cut / 2, abs=1e-3)
     assert not is_free(shell, (0.0, 0.0), (2.0, -1.5), 1.0)
+
+
+def test_a_slanted_part_of_a_floor_is_not_the_floor(tmp_path: Path) -> None:
+    """A floor that was captured in part, with a border aslant: the room is estimated as without that border."""
+    shell = shell_of(tmp_path, RECTANGLE, ground=[(-2.0, -1.5), (0.4, -1.5), (-0.4, 1.5), (-2.0, 1.5)])
+    assert shell.floor_area_m2 > 7.5, "the part has 6 m2"
+
+
+def test_the_height_of_a_ground_is_that_of_a_floor_with_an_area() -> None:
+    flat, empty = trimesh.creation.box((2.0, 2.0, 0.1)).apply_translation([0, 0, 1.05]), trimesh.Trimesh()
+    ground = outline_of_floors([empty, flat])
+    assert ground is not None
+    assert np.allclose(ground[:, 2], 1.0)
+    assert outline_of_floors([empty]) is None

@@ -83,6 +83,7 @@ def test_a_figure_on_a_plate_is_reported_as_not_a_room(tmp_path: Path) -> None:
     (tmp_path / "scans" / "figure.ply").write_bytes(ply_bytes(surface))
     outcome = captured(tmp_path / "scans")
     assert sum(note.startswith("not a room: ") for note in outcome.degradations) == 1
+    assert outcome.rows["shells"][0].height_m < 2.0, "nothing is assumed of a room that is none"
 
 
 def test_a_room_is_a_room(tmp_path: Path) -> None:
