@@ -148,7 +148,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
         shape, is_snapped = _snapped(plan, outline, lines, cloud, kinds)
     else:
         shape, is_snapped = outline.simplify(0.5 * _AROUND_M), False
-    if stated is not None and _is_slanted(stated) and _is_whole(stated, shape):
+    if stated is not None and _is_followed(stated, shape):
         # Rectangles between walls along the axes would fill a chamfered corner.
         shape, is_snapped, missed = shapely.Polygon(stated[:, :2]), True, 0.0
     if missed > 0.0:
@@ -165,21 +165,15 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
     return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more), plan.is_seen, tuple(slopes))
 
 
-def _is_whole(ring: Array, estimated: Geometry) -> bool:
-    """True if a stated floor, corners of shape (n, 3), and the estimated one cover the same ground: a file may hold a part of a floor."""
+def _is_followed(ring: Array, estimated: Geometry) -> bool:
+    """True if a stated floor, corners of shape (n, 3), has an edge as long as a wall that runs along no axis, and is the whole floor."""
     import shapely
 
-    stated = shapely.Polygon(ring[:, :2])
-    shared = stated.is_valid and float(stated.intersection(estimated).area) >= _MIN_SAME_SHARE * float(stated.union(estimated).area)
-    return bool(shared)
-
-
-def _is_slanted(ring: Array) -> bool:
-    """True if an edge of a ring, corners of shape (n, 3), is long enough for a wall and runs along no axis."""
-    edges = (np.roll(ring, -1, axis=0) - ring)[:, :2]
+    edges, stated = (np.roll(ring, -1, axis=0) - ring)[:, :2], shapely.Polygon(ring[:, :2])
     lengths = np.hypot(*edges.T)
     off_axis = np.abs(edges).min(axis=1) > np.sin(np.deg2rad(_MIN_SLANT_DEGREES)) * lengths
-    return bool((off_axis & (lengths >= _MIN_SLANTED_M)).any())
+    is_candidate = bool(stated.is_valid and (off_axis & (lengths >= _MIN_SLANTED_M)).any())
+    return is_candidate and stated.intersection(estimated).area >= _MIN_SAME_SHARE * stated.union(estimated).area
 
 
 def floor_points(cloud: Cloud, nyu40: NDArray[np.int64]) -> NDArray[np.float64]:
