@@ -231,11 +231,16 @@ def _attempt(
             # A value that a table refuses leaves this slot out, not the whole scene.
             check([made.asset], Asset)
             check([made.charts] if made.charts is not None else [], TextureCharts)
+        filled = _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id)
         row = dataclasses.replace(
-            _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id),
-            call_id=made.call_id, library=made.library, library_file=made.library_file, library_score=made.library_score,
-            seen_share=made.seen_share, seconds=time.perf_counter() - clock,
-        )  # fmt: skip
+            filled,
+            call_id=made.call_id,
+            library=made.library,
+            library_file=made.library_file,
+            library_score=made.library_score,
+            seen_share=made.seen_share,
+            seconds=time.perf_counter() - clock,
+        )
         check([row], Candidate)
         if family.draws_looks:
             lender.drawn[provider] = made

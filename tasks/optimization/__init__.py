@@ -98,7 +98,7 @@ def run(
         notable = {
             p.instance.instance_id: (p.asset_id, reasons[p.instance.instance_id]) for p in proposals if p.instance.instance_id in reasons
         }
-    fitting = fit_together(proposals, usable, known, deepest, lambda some: furnish(some, *placed))
+    fitting = fit_together(proposals, usable, known, deepest, config.supports.reach_m, lambda some: furnish(some, *placed))
     interior = fitting.interior
     notes += fitting.left_out
     resolved = _resolved(interior, config, context)
@@ -156,7 +156,8 @@ def _freed(
     tries = [(fitting, resolved)]
     for _ in range(MOST_TRIES):
         stuck = _stuck(tries[-1][1])
-        smaller = yielding(tries[-1][0], tries[-1][1].interior, stuck, selections, assets, furnish) if stuck else None
+        reach_m = config.supports.reach_m
+        smaller = yielding(tries[-1][0], tries[-1][1].interior, stuck, selections, assets, reach_m, furnish) if stuck else None
         if smaller is None:
             break
         tries.append((smaller, _resolved(smaller.interior, config, context)))

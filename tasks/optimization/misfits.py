@@ -44,9 +44,6 @@ SMALLER_NOTE = "made smaller to leave its neighbors their place"
 LEAST_SCALE = 0.5
 """Smaller than this share of what was selected, an asset is another object."""
 
-MAX_DROP_M = 0.1
-"""Lower bound of a gap: surfaces of scans and boxes are off by a few centimeters, as `SupportConfig.reach_m` has it."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Fitting:
@@ -59,14 +56,16 @@ class Fitting:
 
 
 def fit_together(
-    proposals: Sequence[Proposal], selections: Sequence[Selection], assets: Collection[str], depth: float,
+    proposals: Sequence[Proposal], selections: Sequence[Selection], assets: Collection[str], depth: float, reach_m: float,
     furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
 ) -> Fitting:  # fmt: skip
     """The proposals, those of them that are deeper in each other than `depth` [m] replaced. What people chose stays as it is.
 
     Of two the one that fills more of what was seen not to be its own gives way, of equal ones the one that carries nothing, then the
     smaller: to the best candidate that fills less, and where there is none, it is made smaller. Where that would let fall what it
-    carries (a shelf without its boards), it stays, and the other one gives way.
+    carries (a shelf without its boards), the next candidate is tried; where none is left, the other one gives way.
+
+    reach_m: Gap to what carries a thing from which on it falls [m].
     """
     ranked: dict[str, list[Selection]] = defaultdict(list)
     for row in sorted(selections, key=lambda s: (s.instance_id, s.rank)):
@@ -85,7 +84,7 @@ def fit_together(
             if (other := _other(chosen[name], ranked[name], refused)) is not None
         }:
             changed, missing = furnish(tuple((chosen | replacements).values()))
-            dropping = _dropping(interior, changed, replacements)
+            dropping = _dropping(interior, changed, replacements, reach_m)
             if not dropping:
                 break
             refused |= {(name, replacements[name].asset_id) for name in dropping}
@@ -106,10 +105,10 @@ def fit_together(
 
 def yielding(
     fitting: Fitting, interior: Interior, stuck: Sequence[Penetration], selections: Sequence[Selection], assets: Collection[str],
-    furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
+    reach_m: float, furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
 ) -> Fitting | None:  # fmt: skip
     """The same with those that are still stuck in others, of each pair one, taken for a candidate that fills less of what is not its own,
-    or else a little smaller in plan; None where nothing can be."""
+    or else a little smaller in plan; None where nothing can be. reach_m: As for `fit_together`."""
     ranked: dict[str, list[Selection]] = defaultdict(list)
     for row in sorted(selections, key=lambda s: (s.instance_id, s.rank)):
         if row.asset_id in assets:
@@ -134,7 +133,7 @@ def yielding(
         if not shrunk and not alternatives:
             return None
         made, left_out = furnish(tuple((chosen | shrunk | alternatives).values()))
-        dropping = _dropping(fitting.interior, made, alternatives | shrunk)
+        dropping = _dropping(fitting.interior, made, alternatives | shrunk, reach_m)
         if not dropping:
             break
         refused |= {(name, alternatives[name].asset_id) for name in dropping if name in alternatives}
@@ -146,21 +145,21 @@ def yielding(
     return Fitting(tuple(chosen.values()), made, tuple(left_out), tuple(f"{name}: {text}" for name, text in sorted(notes.items())))
 
 
-def _dropping(before: Interior, after: Interior, replacements: Collection[str]) -> set[str]:
+def _dropping(before: Interior, after: Interior, replacements: Collection[str], reach_m: float) -> set[str]:
     """The objects, of those replaced, for which a thing hangs in the air or drops: itself if it was replaced, else what carried it."""
     carriers = dict(zip(after.names, after.carriers, strict=True))
     loose = {
         name: carrier.parent_id
         for name, carrier in zip(before.names, before.carriers, strict=True)
-        if not _is_loose(carrier) and name in carriers and _is_loose(carriers[name])
+        if not _is_loose(carrier, reach_m) and name in carriers and _is_loose(carriers[name], reach_m)
     }
     blamed = {name if name in replacements else parent for name, parent in loose.items()}
     return {name for name in replacements if name in blamed}
 
 
-def _is_loose(carrier: Carrier) -> bool:
+def _is_loose(carrier: Carrier, reach_m: float) -> bool:
     """True if nothing near carries an object."""
-    return carrier.relation == "none" or carrier.gap > MAX_DROP_M
+    return carrier.relation == "none" or carrier.gap > reach_m
 
 
 def _little(interior: Interior, name: str, stuck: Sequence[Penetration]) -> float:

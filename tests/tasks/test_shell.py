@@ -42,12 +42,12 @@ def contains(shell: list[tuple[str, trimesh.Trimesh]], points: np.ndarray) -> np
 
 @st.composite
 def openings(draw: st.DrawFn) -> tuple[int, float, float, float, float, float]:
-    """Wall, interval along it, bottom, top, depth [m]."""
+    """Wall, interval along it, bottom, top, depth [m], 0 where nothing fills the opening."""
     wall = draw(st.integers(0, 3))
     length = (5.0, 4.0)[wall % 2]
     low, high = draw(st.sampled_from([(0.0, length), (0.0, 1.0), (length - 1.2, length), (0.05, 0.9), (1.3, 2.4), (0.7, 3.3)]))
     bottom = draw(st.sampled_from([0.0, 0.3, 0.9]))
-    depth = draw(st.floats(0.0, 0.3))
+    depth = draw(st.just(0.0) | st.floats(0.01, 0.3))
     return wall, low, high, bottom, draw(st.sampled_from([bottom + 0.5, 2.0, HEIGHT, HEIGHT + 0.5])), depth
 
 
@@ -84,9 +84,8 @@ def test_walls_are_solid_all_but_their_openings(rows: list[tuple[int, float, flo
             wider = panel if front + panel > thickness else 0.0
             if which == wall:
                 free |= (along > low) & (along < high) & (height > bottom) & (height < min(top, HEIGHT))
-                closed |= (
-                    (depth > front) & (along > low - wider) & (along < high + wider) & (height > bottom - wider) & (height < top + wider)
-                )
+                across = (along > low - wider) & (along < high + wider) & (height > bottom - wider) & (height < top + wider)
+                closed |= (deep > 0.0) & (depth > front) & across
         np.testing.assert_array_equal(contains(shell, points), ~free | closed)
 
 
@@ -140,6 +139,42 @@ def test_a_room_is_closed_around_and_free_inside_whatever_is_filled(
     eyes = np.column_stack([np.tile([1.0, 0.5], (150, 1)), rng.uniform(0.05, HEIGHT - 0.05, 150)])
     every = trimesh.util.concatenate([mesh for _, mesh in shell])
     assert every.ray.intersects_any(eyes, np.column_stack([np.cos(turns), np.sin(turns), np.zeros(150)])).all()
+
+
+@given(
+    polygon=st.sampled_from([SQUARE, L_SHAPE]), wall=st.integers(0, 5), width=st.floats(0.5, 1.5), top=st.floats(0.8, HEIGHT),
+    share=st.floats(0.02, 0.98), height=st.floats(0.02, 0.98),
+)  # fmt: skip
+@settings(max_examples=60, deadline=None)
+def test_a_passage_is_open_through_its_wall_and_its_wall_closed_around(
+    polygon: tuple[tuple[float, float], ...], wall: int, width: float, top: float, share: float, height: float
+) -> None:
+    start, end = (np.array(polygon[(wall + i) % len(polygon)]) for i in range(2))
+    length = float(np.linalg.norm(end - start))
+    along, middle = (end - start) / length, 0.5 * length
+    corners = np.array([[*(start + (middle + side * width / 2) * along), z] for side in (-1, 1) for z in (0.0, top)])
+    (row,) = wall_openings(np.array(polygon), NONE, HEIGHT, [], [corners])
+    assert row[6] == 0.0
+    every = trimesh.util.concatenate([mesh for _, mesh in room_shell(dataclasses.replace(room_of(polygon=polygon), openings=(row,)))])
+    out = np.array([along[1], -along[0], 0.0])
+
+    def is_closed(at: float, z: float) -> bool:
+        eye = np.array([*(start + at * along), z]) - 0.1 * out
+        return bool(every.ray.intersects_any(eye[None], out[None])[0])
+
+    assert not is_closed(middle + (share - 0.5) * width, height * top)
+    assert is_closed(middle + width / 2 + 0.05, height * top)
+    assert is_closed(middle - width / 2 - 0.05, height * top)
+
+
+def test_a_passage_that_overlaps_a_door_is_filled_with_it() -> None:
+    door = plate(0, 1.0, 1.9, 0.0, 2.0, 0.0, 0.04)
+    passage = np.array([[x, 0.0, z] for x in (1.5, 2.5) for z in (0.0, 2.0)])
+    apart = np.array([[x, 0.0, z] for x in (3.0, 4.0) for z in (0.0, 2.0)])
+    joined, alone = wall_openings(np.array(SQUARE), NONE, HEIGHT, [door], [passage, apart])
+    assert joined[6] > 0.0
+    assert (joined[0], joined[2]) == pytest.approx((1.0, 2.5), abs=0.02)
+    assert alone[6] == 0.0
 
 
 def test_a_window_over_the_height_of_the_room_is_no_opening() -> None:

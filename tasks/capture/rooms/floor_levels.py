@@ -31,7 +31,7 @@ least area of that level, as a share of the floor above it: a reflection or a st
 
 @dataclasses.dataclass(frozen=True)
 class Facets:
-    """Faces as planes, in the frame of their surface: centers [m] (m, 3), unit normals (m, 3), areas [m2] (m,)."""
+    """Faces as planes, in the frame of their surface: centers [m] (m, 3), unit normals (m, 3), areas [m2] (m,), corners [m] (m, 3, 3)."""
 
     centers: Array
     normals: Array

@@ -27,9 +27,6 @@ _SAME_LEVEL_M, _LEAST_M2 = 0.025, 0.15
 """Between frames' views of one level and its middle [m], drift of poses; and least of it that is seen, over all frames [m2]: less is the
 lid of a box."""
 
-_STOREY_M = 0.1
-"""Levels farther apart are a table and the floor, not one floor by poses that drift; as `PlaneConfig.storey_m` has it."""
-
 _LEVEL_POINTS = 4000
 """Of a level, points by which its height is told: its median is then known to a fiftieth of the depth noise."""
 
@@ -67,7 +64,7 @@ def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfi
         if (agrees[best] * counts).sum() >= _LEAST_SHARE * counts.sum():
             mean = (directions * (agrees[best] * counts)[:, None]).sum(axis=0)
             up = mean / np.linalg.norm(mean)
-            return SeenLevel(up, _lowest(seen, up), band)
+            return SeenLevel(up, _lowest(seen, up, config.planes.storey_m), band)
     up = camera_up(frames)
     return None if up is None else SeenLevel(up, np.zeros((0, 3)), band)
 
@@ -85,8 +82,11 @@ def _planes(view: DepthView, config: FrameConfig) -> FramePlanes:
     return frame_planes(frame, config.planes)
 
 
-def _lowest(seen: Sequence[tuple[DepthView, FramePlanes]], up: Array) -> Array:
-    """Points of the lowest level along `up` of which enough is seen, in the scan frame [m], shape (n, 3)."""
+def _lowest(seen: Sequence[tuple[DepthView, FramePlanes]], up: Array, storey_m: float) -> Array:
+    """Points of the lowest level along `up` of which enough is seen, in the scan frame [m], shape (n, 3).
+
+    storey_m: distance of levels that are a table and the floor, not one floor by poses that drift [m].
+    """
     levels = [
         (view.points()[each.pixels], each.area_m2, is_carrier)
         for view, planes in seen
@@ -100,7 +100,7 @@ def _lowest(seen: Sequence[tuple[DepthView, FramePlanes]], up: Array) -> Array:
     total = (np.abs(height[:, None] - height[None, :]) < _SAME_LEVEL_M) @ area
     lowest = float(height[total >= min(_LEAST_M2, total.max())].min())
     # Less than a storey above it what carries things is the same floor, by the poses of other frames: most of it is right.
-    is_near = (height >= lowest) & (height < lowest + _STOREY_M)
+    is_near = (height >= lowest) & (height < lowest + storey_m)
     is_near &= carries if (is_near & carries).any() else True
     middle = float(height[is_near][np.argmax(total[is_near])])
     for _ in range(_LEVEL_ROUNDS):
