@@ -114,6 +114,7 @@ def test_every_format_has_a_target() -> None:
     assert published == {"annotation", "evaluation"}, "a new kind of batch: it comes in as an outside input of a stage"
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_few_inputs_of_every_target_are_read_or_refused(short: tuple[dict[str, Record], set[str]]) -> None:
     records, _ = short
@@ -146,6 +147,7 @@ def _opens(function: ast.FunctionDef) -> bool:
     return False
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_every_function_that_reads_a_file_is_come_by(short: tuple[dict[str, Record], set[str]]) -> None:
     _, reached = short

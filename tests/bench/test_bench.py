@@ -171,6 +171,7 @@ def test_rooms_have_ten_to_eighty_objects_of_every_kind_of_room_and_some_without
     assert any(row.scale != (1.0, 1.0, 1.0) for i in (2, 5, 7, 8) for row in scene(i).rows["selections"])
 
 
+@pytest.mark.slow
 def test_a_scene_of_39_objects_has_39() -> None:
     assert len(scene_of_count(39, 0).rows["instances"]) == 39
 

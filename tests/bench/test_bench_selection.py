@@ -121,6 +121,7 @@ def test_rows_are_those_of_any_lake_and_ten_candidates_differ(data: SelectionDat
     assert {row.room_id for row in reader.rows(Scene)} == {truth["room_id"] for truth in data.truths()}
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_scanned_asset_is_the_scanned_model_and_no_field_of_its_rows_says_so(data: SelectionData) -> None:
     reader = data.lake.snapshot()

@@ -71,6 +71,7 @@ def test_tables_that_no_file_describes_have_rows_of_their_schema() -> None:
     assert len({run["stage"] for run in generator._runs()}) == len(SCENE_STAGES)
 
 
+@pytest.mark.slow
 def test_a_generated_lake_has_no_fault_but_the_blobs_that_it_does_not_have(lake: Lake) -> None:
     found = inspect(lake, quick=True)
     others = [str(one) for one in found.findings if not one.file.startswith(("blobs", "releases"))]

@@ -12,6 +12,7 @@ from warehouse.lake import Lake
 pytestmark = pytest.mark.whole
 
 
+@pytest.mark.slow
 def test_writers_committers_and_readers_do_not_disturb_each_other(tmp_path: Path) -> None:
     found = contention(tmp_path / "lake", scenes=12, writers=4, committers=2, readers=1, kills=2)
     assert found.errors == ()

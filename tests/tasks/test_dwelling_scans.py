@@ -51,6 +51,7 @@ def test_the_truth_reads_back_as_it_was_written(made) -> None:
     assert DwellingTruth.from_json((out / "scene0000_00.truth.json").read_text()) == truth
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_quarter_to_nearly_half_of_what_could_be_seen_is_not(made) -> None:
     assert 0.25 <= made[1].unseen <= 0.45

@@ -121,6 +121,7 @@ def test_fitted_things_are_fastened_and_others_free() -> None:
     assert "sofa" in free
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_over_many_seeds_everything_hard_turns_up() -> None:
     homes = [made(seed) for seed in range(6)]

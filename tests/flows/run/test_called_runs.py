@@ -169,6 +169,7 @@ def test_a_run_that_is_killed_asks_nothing_twice_but_what_was_under_way(scans: P
     assert len(rows) == len(asked(server))
 
 
+@pytest.mark.slow
 def test_a_budget_stops_a_run_and_the_next_one_goes_on(scans: Path, whole: Lake, server: Server, tmp_path: Path) -> None:
     server.answers = [answering()]
     config, lake = settings_file(tmp_path, server), tmp_path / "lake"

@@ -270,6 +270,7 @@ def test_what_only_a_watch_or_an_explanation_asks_of_a_member_makes_no_row_stale
     assert changed(code, path) == set()
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_further_member_counts(code: Path) -> None:
     before = {module: fingerprint(module) for module in ("tasks.exports", "tasks.capture")}

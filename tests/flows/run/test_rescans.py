@@ -193,6 +193,7 @@ def changes(lake: Lake) -> list[tuple[object, ...]]:
         return connection.sql(sql).fetchall()
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_three_scans_of_a_room_and_another_room_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METASCENES_CACHE", str(tmp_path / "cache"))

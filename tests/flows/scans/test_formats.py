@@ -58,6 +58,7 @@ def test_a_scan_of_each_kind_becomes_usd(command: Callable[..., str], tmp_path: 
     assert len(list((tmp_path / "out" / "usd").glob("*/scene.usda"))) == len(SAMPLES)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_real_annotation_without_a_mesh_becomes_usd(command: Callable[..., str], realdata: Callable[[str], Path], tmp_path: Path) -> None:
     """The annotation of a real storeroom of MultiScan: boxes in, a scene that passes its gate out, with all its furniture placed.

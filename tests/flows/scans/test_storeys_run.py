@@ -33,6 +33,7 @@ def furnished_house() -> House:
     return builder.house((0.0, RISE))
 
 
+@pytest.mark.slow
 def test_a_house_of_two_storeys_becomes_two_scenes_with_their_floors_at_zero(home: dict[str, str], tmp_path: Path) -> None:  # noqa: F811
     from pxr import Usd, UsdGeom
 

@@ -676,6 +676,7 @@ def command(scans: Path, lake: str, *options: str, **environment: str) -> subpro
     return subprocess.run(line, cwd=REPOSITORY, env=os.environ | environment, capture_output=True, text=True, timeout=550)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_command_looks_and_says_what_it_saw(tmp_path: Path, lake: Lake) -> None:
     scans = write_scans(tmp_path / "scans", 2)

@@ -318,6 +318,7 @@ def crowd(address: httpx.URL, sent: bytes) -> list[socket.socket]:
     return strangers
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_people_are_let_in_among_300_strangers_with_256_files(tmp_path: Path) -> None:
     """The viewer and the annotation page."""

@@ -308,7 +308,7 @@ with prefect_server():
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("is_running", [True, False], ids=["server runs", "server ended"])
+@pytest.mark.parametrize("is_running", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["server runs", "server ended"])
 def test_a_real_server_keeps_nothing_of_the_scene(own_machine: Path, is_running: bool) -> None:
     """A run of real Prefect, on the schema of the installed version, with its result, log, artifact and events."""
     home = own_machine / "prefect"

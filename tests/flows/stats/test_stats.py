@@ -73,6 +73,7 @@ def test_charts_of_a_lake_are_named_after_views_and_the_same_twice(lake: Lake) -
         assert not re.search(rb"tIME|date:|Software", chart.png)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_report_draws_no_raster_that_it_does_not_show(report: Path, lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact_sheets, "_as_png", refused)
@@ -362,6 +363,7 @@ def test_the_command_says_what_it_would_write_and_writes_nothing(lake: Lake, tmp
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_report_on_a_release_names_it(tmp_path: Path) -> None:
     lake = Lake.open(tmp_path / "lake")

@@ -333,6 +333,7 @@ def test_figures_follow_and_settling_puts_the_object_down(opened: Callable[..., 
     assert position(page) == pytest.approx([0.0, 0.0, TABLE_M + 0.2])
 
 
+@pytest.mark.slow
 def test_a_batch_goes_back_and_comes_again(opened: Callable[..., Page], lake: Lake) -> None:
     """Answered, handed in, sampled, reviewed and returned with a remark; corrected, handed in again, and accepted."""
     ada, bob, rita = opened("ada"), opened("bob"), opened("rita")

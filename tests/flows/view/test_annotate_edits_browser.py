@@ -222,6 +222,7 @@ def test_a_draft_of_an_asset_that_is_no_candidate_any_more_is_not_saved_as_an_an
     wait(page, status_of(OBJECT), "answered")
 
 
+@pytest.mark.slow
 def test_candidates_that_have_changed_are_said_in_words(opened: Callable[..., Page]) -> None:
     page = opened("ada")
     show(page, OBJECT)

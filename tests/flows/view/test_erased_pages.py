@@ -214,6 +214,7 @@ def test_a_viewer_process_forgets_an_erased_scene(tmp_path: Path) -> None:
         process.wait()
 
 
+@pytest.mark.slow
 def test_an_annotation_server_forgets_an_erased_scene(tmp_path: Path) -> None:
     lake = asked_lake(tmp_path, people=("ada",))
     file = tmp_path / "elsewhere.sqlite"

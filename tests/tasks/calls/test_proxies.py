@@ -49,15 +49,21 @@ class RecordingProxy:
 
 
 @pytest.fixture
-def proxy(monkeypatch: pytest.MonkeyPatch) -> Iterator[RecordingProxy]:
+def recording() -> Iterator[RecordingProxy]:
+    """A recording proxy that nobody names."""
+    proxy = RecordingProxy()
+    yield proxy
+    proxy.close()
+
+
+@pytest.fixture
+def proxy(recording: RecordingProxy, monkeypatch: pytest.MonkeyPatch) -> RecordingProxy:
     """A recording proxy that the environment names for everything."""
-    recording = RecordingProxy()
     for name in VARIABLES:
         monkeypatch.setenv(name, recording.url)
     for name in ("no_proxy", "NO_PROXY"):
         monkeypatch.delenv(name, raising=False)
-    yield recording
-    recording.close()
+    return recording
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "LOCALHOST", "127.1", "0x7f.1", "2130706433", "%6cocalhost"])
@@ -96,9 +102,10 @@ with prefect_server() as api:
 
 
 @pytest.mark.whole
-def test_the_token_of_a_runs_own_server_meets_no_proxy(proxy: RecordingProxy, tmp_path: Path) -> None:
-    around = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
-    around |= {"PREFECT_HOME": str(tmp_path / "prefect"), "HOME": str(tmp_path)}
+def test_the_token_of_a_runs_own_server_meets_no_proxy(recording: RecordingProxy, tmp_path: Path) -> None:
+    """Only the run's environment names the proxy: clients of other servers in this process would use it, too."""
+    around = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_") and name.lower() != "no_proxy"}
+    around |= {"PREFECT_HOME": str(tmp_path / "prefect"), "HOME": str(tmp_path)} | dict.fromkeys(VARIABLES, recording.url)
     done = subprocess.run([sys.executable, "-c", RUN], cwd=REPOSITORY, env=around, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
-    assert proxy.requests == []
+    assert recording.requests == []

@@ -86,6 +86,7 @@ def test_a_mug_is_not_stood_in_for_by_a_bed(tmp_path: Path) -> None:
     assert [match.file for match in near(search, "bed", *drawn_scan("bed"))] == ["bed.glb"]
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_real_models_are_found_without_a_name_and_rarely_taken_for_others(realdata: Callable[[str], Path]) -> None:
     models, rng = models_in(realdata("assets")), np.random.default_rng(0)

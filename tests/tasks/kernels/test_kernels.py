@@ -93,6 +93,7 @@ print(sum(kernel.stats.cache_misses.values()))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_processes_that_compile_one_function_at_once_keep_each_others_code(tmp_path: Path) -> None:
     """Each for arrays of other dimensions, all saved in one folder; who comes after them compiles nothing and gets the right code."""

@@ -17,6 +17,7 @@ from tasks.library.indexing import IndexConfig, index_folder
 from tasks.library.search import LibrarySearch
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_models_of_a_scanned_room_are_found(realdata: Callable[[str], Path], tmp_path: Path) -> None:
     place = realdata(str(MODELS))

@@ -79,6 +79,7 @@ def test_twenty_random_worlds_of_eight_things() -> None:
     assert arrived >= 0.95 * driven
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_things_that_were_moved_are_gone_around_and_never_touched() -> None:
     arrived = passable = 0

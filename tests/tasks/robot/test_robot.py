@@ -53,6 +53,7 @@ def living() -> list[RobotRun]:
     return driven(LIVING, RobotConfig())
 
 
+@pytest.mark.slow
 def test_all_ways_of_a_living_room_are_driven(living: list[RobotRun]) -> None:
     assert [row.episode_id for row in living] == [row.episode_id for row in acted_scene(LIVING).episodes]
     for row in living:

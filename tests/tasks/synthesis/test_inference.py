@@ -153,6 +153,7 @@ def test_diffused_layouts_are_those_of_torch_and_diffusers(name: str, steps: int
     assert_near(made, drawn_by_torch(module, LARGES[:9], steps))
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize("name", ["default transformer", "default unet"])
 def test_layouts_of_default_models_are_those_of_torch_and_diffusers(name: str) -> None:

@@ -29,6 +29,7 @@ def test_layouts_side_by_side() -> None:
     assert "mug by smart_uv: smart_uv: smart_uv.program: is no program" in text.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_what_is_baked_from_better_scans_is_better() -> None:
     rows = scanned_and_baked("stool", generate("stool", (0.4, 0.4, 0.5), np.random.default_rng(0)).parts, TexturingBench())

@@ -116,6 +116,7 @@ def test_checkpoints_of_other_settings_do_not_count_and_idle_ones_do_not_matter(
     assert not kept
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize("workers", [1, 2])
 def test_whoever_loads_the_batches_the_weights_are_the_same(whole: str, workers: int) -> None:

@@ -339,6 +339,7 @@ LAST = 2 * len(TABLES) + 6
 """Changes of files that a release makes: tables written, files moved in, the record, the lease."""
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize(
     "steps",

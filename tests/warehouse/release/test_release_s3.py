@@ -25,6 +25,7 @@ for package in ("moto", "obstore", "flask"):
     pytest.importorskip(package)
 
 
+@pytest.mark.slow
 def test_a_release_in_a_bucket_is_the_one_in_a_folder(bucket: str, tmp_path: Path) -> None:  # noqa: F811
     lakes = [Lake.open(f"s3://{bucket}/released"), Lake.open(tmp_path / "lake")]
     for lake in lakes:

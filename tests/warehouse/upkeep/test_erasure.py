@@ -278,6 +278,7 @@ def test_blobs_that_may_be_of_the_scene_are_no_proof(lake: Lake) -> None:
     assert not path.exists()
 
 
+@pytest.mark.slow
 def test_what_another_run_took_the_place_of_before_a_commit_goes_too(lake: Lake) -> None:
     """Nothing names its blobs, and they are young; but they tell of the scene."""
     for tag in ("first", "second"):
@@ -464,9 +465,9 @@ def kept(lake: Lake) -> list[Any]:
                 ("_put_in_force", "commit"),
                 ("_remove_blobs", "idle"),
                 ("final", "commit"),
+                ("_put_in_force", "release"),
             ]
         ),
-        ("_put_in_force", "release"),
     ],
 )
 def test_a_repeated_erasure_keeps_the_snapshots_of_an_undisturbed_one(

@@ -119,6 +119,7 @@ def test_a_training_is_the_same_bytes_also_after_a_kill_and_learns() -> None:
     assert all(torch.equal(a, b) for a, b in zip(again.state_dict().values(), whole.state_dict().values(), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_an_untrained_network_is_asked_of_frames_of_any_size() -> None:
     pytest.importorskip("torch")

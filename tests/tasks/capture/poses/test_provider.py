@@ -159,6 +159,7 @@ def test_the_motion_onto_given_poses(filmed: RoomFilm) -> None:
     np.testing.assert_allclose(moved_onto(motion @ filmed.poses, filmed.poses), motion, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_withheld_poses_are_found_and_rows_say_so(filmed: RoomFilm, python: str, tmp_path: Path) -> None:
     folder = write_scan(tmp_path / "video", filmed.views)
