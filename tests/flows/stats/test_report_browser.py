@@ -238,7 +238,7 @@ def test_a_link_to_a_view_unfolds_its_sql(opened: Callable[..., tuple[Page, list
     sql = page.locator("#sql-volume_by_category pre")
     assert not sql.is_visible()
     page.locator("a[href='#sql-volume_by_category']").first.click()
-    sql.wait_for(state="visible", timeout=2000)
+    sql.wait_for(state="visible")
     assert "quantile_cont" in sql.inner_text()
     assert wrong == []
 

@@ -319,7 +319,7 @@ def test_a_claim_is_renewed_and_given_back_when_the_run_ends_in_an_error(address
     lake = Lake.open(address)
 
     def run() -> None:
-        with lake.claims(life=6.0) as claims:
+        with lake.claims(life=12.0) as claims:
             assert claims.claim(SCENES[0])
             first = lake.claimed()[SCENES[0]]
             while (second := lake.claimed()[SCENES[0]]).expires <= first.expires:
@@ -347,7 +347,7 @@ class Distant(LocalStorage):
 def test_many_claims_on_a_distant_store_are_renewed_sixteen_at_a_time(tmp_path: Path) -> None:
     (tmp_path / "lake").mkdir()
     storage, names = Distant(tmp_path / "lake"), [f"scannet/scene{number:04d}_00" for number in range(64)]
-    with Claims(storage, life=6.0) as claims:
+    with Claims(storage, life=12.0) as claims:
         assert all(claims.claim(name) for name in names)
         first = claims_of(storage)
         storage.together = threading.Barrier(16)
@@ -381,7 +381,7 @@ class Forgetful(LocalStorage):
 
 def test_a_write_whose_answer_was_lost_is_ours_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "lake").mkdir()
-    storage, life = Forgetful(tmp_path / "lake"), 6.0
+    storage, life = Forgetful(tmp_path / "lake"), 12.0
     with Claims(storage, life=life) as claims:
         storage.losses = 1
         with pytest.raises(ConnectionError):
