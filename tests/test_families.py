@@ -407,6 +407,7 @@ def test_further_members_make_rows_that_the_schemas_take(command: Do, lake: Path
     command("doctor", "lake", "--lake", lake)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_an_export_of_a_further_format_comes_before_its_gate(command: Do, lake: Path, place: Path) -> None:
     command("export", "--lake", lake, "--out", "out")
@@ -417,6 +418,7 @@ def test_an_export_of_a_further_format_comes_before_its_gate(command: Do, lake: 
     assert fault in command("export", "--lake", lake, "--out", "out", "--format", "toy_export", code=1, TOY_FAULT="it rattles").stderr
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_objects_in_an_export_of_a_further_format_are_explained(command: Do, lake: Path, place: Path) -> None:
     command("export", "--lake", lake, "--out", "explained")

@@ -156,6 +156,7 @@ def test_what_was_raised_from_the_floor_floats_and_what_sank_is_in_it() -> None:
     assert seen == {"raised", "sunk"}
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_rooms_and_another_gives_others() -> None:
     assert generated_scene(1, 20, 0).digest() == scene(1).digest()
     assert generated_scene(1, 20, 1).digest() != scene(1).digest()

@@ -81,6 +81,7 @@ def test_a_whole_scan_of_what_is_the_same_after_no_turn_leaves_ours_no_error() -
     assert (row.position_m < 0.01, row.scale < 0.02, row.chamfer_m < 0.01) == (True, True, True)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_command_measures_every_method_and_says_what_it_lacks(tmp_path: Path) -> None:
     done = CliRunner().invoke(command, ["alignment", "--objects", "2", "--processes", "1", "--json", "--realdata", str(tmp_path)])

@@ -54,6 +54,7 @@ def test_a_room_passes_every_gate_and_its_files_agree_with_its_certificate(expor
     assert unmet(exports_bench.goals([exported])) == set()
 
 
+@pytest.mark.slow
 def test_what_is_broken_or_differs_misses_its_goal(exported: RoomExports) -> None:
     sound = dataclasses.replace(exported, broken=())
     broken = dataclasses.replace(exported, broken=(("urdf", "mass", "is 0"),))

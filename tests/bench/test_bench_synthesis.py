@@ -188,6 +188,7 @@ def test_the_bar_has_as_many_steps_as_are_advanced(tmp_path: Path) -> None:
     assert dataclasses.replace(config, models=()).advances == 4
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_scenes_of_true_layouts_are_stable_stay_where_they_are_and_pass_the_gates(tmp_path: Path) -> None:
     truth = Measurement(TRUTH, 0, None, ROOMS, 10, 2).draws(Path())

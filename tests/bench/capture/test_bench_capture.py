@@ -156,6 +156,7 @@ def test_every_drawing_has_its_frame(realdata: Callable[[str], Path]) -> None:
         assert np.median(counted) > 0.5, f"{path.name}: objects are where depth is"
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_former_code_runs_and_finds_little_of_a_table(table: TabletopFrame) -> None:
     if not has_former():

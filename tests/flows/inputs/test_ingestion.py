@@ -560,6 +560,7 @@ def test_datasets_are_compared_by_what_their_rows_say(mixed: Lake) -> None:
         assert row["asset_licenses"] == sorted({assets[name].license for name in used})
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_report_shows_imported_scenes_beside_our_own(mixed: Lake, tmp_path: Path) -> None:
     write_report(mixed, tmp_path / "report.html", look=PictureConfig(width=120, height=84, oversampling=1), workers=1)

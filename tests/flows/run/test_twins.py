@@ -58,6 +58,7 @@ def placed_twins(lake: Path) -> dict[str, Asset]:
     return {instance: asset for instance, asset in placed.items() if asset.provider.endswith(" textured")}
 
 
+@pytest.mark.slow
 def test_twins_are_made_ranked_and_placed(lake: Path) -> None:
     found = Lake.open(lake)
     reader = found.snapshot()

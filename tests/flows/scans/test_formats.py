@@ -36,6 +36,7 @@ def command(tmp_path: Path) -> Callable[..., str]:
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_scan_of_each_kind_becomes_usd(command: Callable[..., str], tmp_path: Path) -> None:
     for name, write in SAMPLES.items():

@@ -99,6 +99,7 @@ def rows_and_schema(file: Path) -> tuple[list[object], dict[str, int]]:
         return list(schema), {name: connection.execute(f'SELECT count(*) FROM "{name}"').fetchone()[0] for name in tables}
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_migrated_database_is_what_prefect_makes(tmp_path: Path) -> None:
     """Its tables, indexes and rows are those of Prefect's own command on an empty home."""

@@ -166,6 +166,7 @@ def test_the_same_snapshot_gives_the_same_file(lake: Lake, stand_in: Path, tmp_p
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_report_links_a_page_for_every_scene_that_it_pictures(lake: Lake, stand_in: Path, tmp_path: Path) -> None:
     from flows.stats import write_report

@@ -133,6 +133,7 @@ def test_a_file_name_tells_a_category(stem: str, category: str) -> None:
     assert category_of(stem) == category
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_real_assets_are_found_again_from_partial_scans(realdata: Callable[[str], Path]) -> None:
     library = opened(realdata("assets"))

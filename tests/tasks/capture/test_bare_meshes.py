@@ -230,6 +230,7 @@ def test_real_meshes_without_named_nodes_are_taken_and_not_taken_apart(realdata:
     assert 1 <= sum(not row.is_structure for row in rows) <= most
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_real_house_without_its_names_is_divided_into_what_its_author_drew(realdata: Callable[[str], Path]) -> None:
     """Two thirds of what the author named have an instance that is at least half theirs, by surface."""

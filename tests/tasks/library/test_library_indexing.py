@@ -196,6 +196,7 @@ def test_weights_that_are_not_there_are_refused_at_once(folder: Path, tmp_path: 
         index_folder(folder, Catalog({}), IndexConfig(weights=str(tmp_path)), {})
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_real_models_are_indexed(realdata: Callable[[str], Path]) -> None:
     place = realdata("assets")

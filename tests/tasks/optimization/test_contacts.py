@@ -204,6 +204,7 @@ def test_the_floor_and_the_walls_are_met_too() -> None:
     assert penetrations([], np.zeros((0, 4, 4)), shell) == []
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_real_furniture_is_as_deep_as_all_axes_say() -> None:
     rng = np.random.default_rng(4)

@@ -45,6 +45,7 @@ def test_it_is_whole_small_and_free(name: str) -> None:
     assert "## Limits" in card
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize("name", KINDS)
 def test_it_draws_what_the_rules_of_a_room_say(name: str) -> None:

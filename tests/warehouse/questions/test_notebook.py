@@ -71,6 +71,7 @@ def test_every_question_has_a_chart_with_something_in_it(run: Any) -> None:
         chart.canvas.draw()
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_what_is_said_agrees_with_the_rows(lake: Lake, run: Any) -> None:
     reader, found = lake.snapshot(), run[1]

@@ -50,6 +50,7 @@ def test_damage_is_found_by_it_too(name: str, scene: Path, tmp_path: Path) -> No
     assert all(finding.rule == RULE and "\n" not in finding.message and str(tmp_path) not in str(finding) for finding in found)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_command_adds_what_it_says_to_the_gates_findings(scene: Path, tmp_path: Path) -> None:
     run = CliRunner().invoke

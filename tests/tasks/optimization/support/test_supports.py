@@ -304,6 +304,7 @@ def test_generated_rooms_have_the_supports_that_they_were_made_with() -> None:
     assert len(wrong) <= 0.03 * count, "\n".join(wrong)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_generated_rooms_have_them_with_everything_off_by_up_to_8_cm() -> None:
     count, wrong = 0, []

@@ -265,6 +265,7 @@ def test_nearest_both_is_the_nearest_both_ways() -> None:
     assert np.array_equal(back, apart.argmin(axis=1))
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_toy_problem_is_learned_in_a_few_steps() -> None:
     """Specs C.8: chance is 10 %; the bound of CI there is 30 %."""
