@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import ast
+import gzip
+import io
 import json
+import tracemalloc
+import zipfile
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +21,7 @@ from tests.fuzzing.campaign import Campaign, Reading, Record, child, events, rea
 from tests.fuzzing.cases import Odd, packed, read_case, unpacked, write_case
 from tests.fuzzing.child import Limits
 from tests.fuzzing.doors import PARSER
+from tests.fuzzing.mutations import changed
 from tests.fuzzing.targets import targets
 
 COUNTEREXAMPLES = sorted((REPOSITORY / "tests" / "counterexamples" / "inputs").glob("*.json"))
@@ -112,6 +117,25 @@ def test_every_format_has_a_target() -> None:
     assert all(target.seeds() for target in targets().values())
     published = {path.parent.name for path in (REPOSITORY / "tasks").rglob("*.schema.json")}
     assert published == {"annotation", "evaluation"}, "a new kind of batch: it comes in as an outside input of a stage"
+
+
+@pytest.mark.parametrize("name", ["a.json.gz", "a.zip"])
+def test_a_change_of_what_unpacks_to_gigabytes_takes_no_memory(name: str) -> None:
+    """The reader's own memory is measured in the process that makes the changes."""
+    stream, content = io.BytesIO(), b"[" * 2**28
+    if name.endswith("zip"):
+        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            archive.writestr("a.json", content)
+    else:
+        stream.write(gzip.compress(content, 1))
+    del content
+    tracemalloc.start()
+    try:
+        for number in range(60):
+            assert changed({name: stream.getvalue()}, [], [number])
+        assert tracemalloc.get_traced_memory()[1] < 2**27
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.slow

@@ -316,16 +316,32 @@ def _changed_gzip(data: bytes, random: Random) -> bytes:
     if random.random() < 0.2:
         return _changed_bytes(data, random)
     try:
-        return gzip.compress(changed_json(gzip.decompress(data), random), 1)
+        with gzip.open(io.BytesIO(data)) as file:
+            content = file.read(LARGEST + 1)
     except (OSError, EOFError, zlib.error):
         return _changed_bytes(data, random)
+    # What an earlier change has made of gigabytes would take the memory that the reader may have.
+    return gzip.compress(changed_json(content, random), 1) if len(content) <= LARGEST else _changed_bytes(data, random)
+
+
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    """The content of a member that is no longer than inputs may be.
+
+    Raises:
+        ValueError: It is longer.
+    """
+    with archive.open(info) as file:
+        content = file.read(LARGEST + 1)
+    if len(content) > LARGEST:
+        raise ValueError(f"{info.filename} is too large")
+    return content
 
 
 def _changed_zip(data: bytes, random: Random) -> bytes:
     """A zip file with a member changed, added or renamed."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = [(info.filename, archive.read(info)) for info in archive.infolist()]
+            members = [(info.filename, _member(archive, info)) for info in archive.infolist()]
     except (zipfile.BadZipFile, OSError, EOFError, zlib.error, NotImplementedError, RuntimeError, ValueError):
         return _changed_bytes(data, random)
     if not members or random.random() < 0.3:
