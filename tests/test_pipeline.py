@@ -389,7 +389,6 @@ def killed_runs(home: dict[str, str], lake: Path, scans: Path, undisturbed: Path
     assert hit >= trials / 2, "most kills must fall into the run"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "codes"), [(signal.SIGINT, {130}), pytest.param(signal.SIGTERM, {143, -signal.SIGTERM}, marks=pytest.mark.slow)]
 )

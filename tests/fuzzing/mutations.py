@@ -324,24 +324,28 @@ def _changed_gzip(data: bytes, random: Random) -> bytes:
     return gzip.compress(changed_json(content, random), 1) if len(content) <= LARGEST else _changed_bytes(data, random)
 
 
-def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    """The content of a member that is no longer than inputs may be.
+def _members(archive: zipfile.ZipFile) -> list[tuple[str, bytes]]:
+    """Names and contents of an archive that is no longer than inputs may be.
 
     Raises:
         ValueError: It is longer.
     """
-    with archive.open(info) as file:
-        content = file.read(LARGEST + 1)
-    if len(content) > LARGEST:
-        raise ValueError(f"{info.filename} is too large")
-    return content
+    members, left = [], LARGEST
+    for info in archive.infolist():
+        with archive.open(info) as file:
+            content = file.read(left + 1)
+        left -= len(content)
+        if left < 0:
+            raise ValueError(f"{info.filename} is too large")
+        members.append((info.filename, content))
+    return members
 
 
 def _changed_zip(data: bytes, random: Random) -> bytes:
     """A zip file with a member changed, added or renamed."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = [(info.filename, _member(archive, info)) for info in archive.infolist()]
+            members = _members(archive)
     except (zipfile.BadZipFile, OSError, EOFError, zlib.error, NotImplementedError, RuntimeError, ValueError):
         return _changed_bytes(data, random)
     if not members or random.random() < 0.3:

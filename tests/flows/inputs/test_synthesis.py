@@ -439,7 +439,6 @@ def test_who_erases_a_scene_erases_what_was_made_of_it(erasable: Lake, monkeypat
     assert erasable.staging.runs() == []
 
 
-@pytest.mark.slow
 @pytest.mark.whole
 def test_what_is_erased_while_it_is_furnished_anew_comes_back_in_no_snapshot(erasable: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
     commit, runner, staged = Lake.commit, CliRunner(), []

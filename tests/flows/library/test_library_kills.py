@@ -54,7 +54,7 @@ def remembered(cache: Path) -> set[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("processes", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.parametrize("processes", [1, 2])
 def test_an_indexing_that_is_killed_goes_on_with_what_is_missing(tmp_path: Path, folder: Path, processes: int) -> None:
     lake, cache = tmp_path / "lake", tmp_path / "cache"
     killed = started(folder, lake, cache, processes)

@@ -220,7 +220,6 @@ def test_frames_of_phones_are_joined_in_their_own_axes(tmp_path: Path, form: str
     assert np.array([pose[:3, 3] for pose in poses]) == pytest.approx(places, abs=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.whole  # frames are fused
 def test_a_folder_of_posed_frames_becomes_one_for_each_storey(tmp_path: Path) -> None:
     house = house_of(2, (5.0, 6.5), 2.5, 0.3, is_stair=False)

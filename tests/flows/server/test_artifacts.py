@@ -293,7 +293,6 @@ def test_a_server_that_dies_costs_the_lake_nothing(home: dict[str, str], tmp_pat
     assert time.monotonic() - clock < 200, "the end of the process waits for a server that is gone"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("forgets", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["restarted", "with another database"])
 def test_a_server_that_comes_back_is_told_everything(home: dict[str, str], tmp_path: Path, forgets: bool) -> None:
     cut(write_scan(tmp_path / "scans", "scene0001_00"))

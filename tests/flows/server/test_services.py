@@ -175,7 +175,6 @@ def test_another_server_redoes_nothing_but_what_changed(services: Services, firs
     assert now[SCENES[0]] == counted[SCENES[0]] + changed["steps"]
 
 
-@pytest.mark.slow
 def test_services_come_back_where_they_were(services: Services) -> None:
     services.postgres.query("CREATE TABLE kept (number int)", "postgres")
     services.postgres.query("INSERT INTO kept SELECT * FROM generate_series(1, 1000)", "postgres")

@@ -128,7 +128,6 @@ def test_killed_ten_times_it_ends_with_the_same_weights(command: Told, lake: Pat
     assert losses[0] == losses[1]
 
 
-@pytest.mark.slow
 def test_a_killed_training_goes_on_from_its_checkpoint(command: Told, lake: Path, tmp_path: Path) -> None:
     other = shutil.copytree(lake, tmp_path / "other")
     row = trained(command, lake)

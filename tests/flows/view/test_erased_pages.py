@@ -196,7 +196,6 @@ def test_an_annotation_page_forgets_an_erased_scene(tmp_path: Path, monkeypatch:
     check_gone(ada.get, files, set())
 
 
-@pytest.mark.slow
 def test_a_viewer_process_forgets_an_erased_scene(tmp_path: Path) -> None:
     lake = shown_lake(tmp_path)
     command = [sys.executable, "-c", LAUNCH.format(first=""), str(stand_in(tmp_path / "built")), "view", "--lake", lake.address, "--json"]

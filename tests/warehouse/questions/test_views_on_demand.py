@@ -21,7 +21,6 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     return lake.snapshot()
 
 
-@pytest.mark.slow
 @pytest.mark.whole
 def test_every_question_is_answered_as_by_a_connection_with_all_of_them(reader: Reader) -> None:
     asked = [f"FROM {view.name}" for view in views()] + [macro.note.partition("Example: ")[2] for macro in macros()]

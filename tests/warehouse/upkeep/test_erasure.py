@@ -465,9 +465,9 @@ def kept(lake: Lake) -> list[Any]:
                 ("_put_in_force", "commit"),
                 ("_remove_blobs", "idle"),
                 ("final", "commit"),
-                ("_put_in_force", "release"),
             ]
         ),
+        ("_put_in_force", "release"),
     ],
 )
 def test_a_repeated_erasure_keeps_the_snapshots_of_an_undisturbed_one(
