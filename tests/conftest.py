@@ -75,13 +75,9 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
 
 
 def pytest_collection_finish() -> None:
-    """Imported modules and collected tests stay until the end: the garbage collector need not look at them again and again.
-
-    Tests hold millions of small objects, as syntax trees and rows; at Python's thresholds a third of some tests is looking at them.
-    """
+    """Imported modules and collected tests stay until the end: the garbage collector need not look at them again and again."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(50_000, 20, 50)
 
 
 _skipped: list[str] = []

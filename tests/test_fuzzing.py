@@ -118,8 +118,8 @@ def test_every_format_has_a_target() -> None:
 
 
 @pytest.mark.parametrize(("name", "members", "size"), [("a.json.gz", 1, 2**28), ("a.zip", 1, 2**28), ("a.zip", 100, 2**22)])
-def test_a_change_of_what_unpacks_to_gigabytes_takes_no_memory(name: str, members: int, size: int) -> None:
-    """The reader's own memory is measured in the process that makes the changes."""
+def test_a_change_of_an_input_that_unpacks_to_much_takes_little_memory(name: str, members: int, size: int) -> None:
+    """The process that changes inputs also reads them, and its memory is limited for the reader."""
     stream, content = io.BytesIO(), b"[" * size
     if name.endswith("zip"):
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:

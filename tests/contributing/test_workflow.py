@@ -1,4 +1,4 @@
-"""The public workflow does what `.ci/run` does, for every Python that the project allows, and the slow tests, which want Open3D."""
+"""The public workflow does what `.ci/run` does, for every Python that the project allows. It also runs the slow tests, with Open3D."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEPS = [step["run"] for step in JOB["steps"] if "run" in step]
 
 
 def test_the_same_packages_are_installed() -> None:
-    """Those of the one install line, and what Open3D links with, which only slow tests need; the tests' clusters are their own in both."""
+    """The install line has Open3D's libraries besides, for the slow tests. Both keep Debian from making a cluster of its own."""
     (installed,) = re.findall(r"apt-get install .*--no-install-recommends (chromium .*)", STEPS[0])
     (open3d,) = re.findall(r"^open3d:.* wants Debian's (.*)\.$", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
     assert set(installed.split()) == set(re.findall(r"missing\+=\((.*?)\)", OWN)) | set(open3d.split(", "))

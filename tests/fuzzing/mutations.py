@@ -320,15 +320,15 @@ def _changed_gzip(data: bytes, random: Random) -> bytes:
             content = file.read(LARGEST + 1)
     except (OSError, EOFError, zlib.error):
         return _changed_bytes(data, random)
-    # What an earlier change has made of gigabytes would take the memory that the reader may have.
+    # An earlier change may have put gigabytes in here: to unpack them takes the memory that is meant for the reader.
     return gzip.compress(changed_json(content, random), 1) if len(content) <= LARGEST else _changed_bytes(data, random)
 
 
 def _members(archive: zipfile.ZipFile) -> list[tuple[str, bytes]]:
-    """Names and contents of an archive that is no longer than inputs may be.
+    """Names and contents of the members of an archive.
 
     Raises:
-        ValueError: It is longer.
+        ValueError: the contents exceed `LARGEST` bytes together.
     """
     members, left = [], LARGEST
     for info in archive.infolist():

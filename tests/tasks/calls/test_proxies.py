@@ -50,7 +50,7 @@ class RecordingProxy:
 
 @pytest.fixture
 def recording() -> Iterator[RecordingProxy]:
-    """A recording proxy that nobody names."""
+    """A recording proxy that no variable names yet."""
     proxy = RecordingProxy()
     yield proxy
     proxy.close()
@@ -98,6 +98,8 @@ with prefect_server() as api:
     @flow
     def nothing(): return 1
     assert nothing() == 1
+import httpx
+assert httpx.get("http://elsewhere.invalid/").status_code == 502
 """
 
 
@@ -108,4 +110,4 @@ def test_the_token_of_a_runs_own_server_meets_no_proxy(recording: RecordingProxy
     around |= {"PREFECT_HOME": str(tmp_path / "prefect"), "HOME": str(tmp_path)} | dict.fromkeys(VARIABLES, recording.url)
     done = subprocess.run([sys.executable, "-c", RUN], cwd=REPOSITORY, env=around, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
-    assert recording.requests == []
+    assert [request.split(b"\r\n")[0] for request in recording.requests] == [b"GET http://elsewhere.invalid/ HTTP/1.1"]

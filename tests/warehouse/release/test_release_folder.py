@@ -345,7 +345,7 @@ LAST = 2 * len(TABLES) + 6
     "steps",
     [
         (5, len(TABLES) + 9, LAST - 2, LAST + 50),
-        pytest.param((1, len(TABLES), len(TABLES) + 2, LAST - 6, LAST - 2, LAST - 1, LAST, LAST + 50), marks=pytest.mark.slow),
+        (1, len(TABLES), len(TABLES) + 2, LAST - 6, LAST - 2, LAST - 1, LAST, LAST + 50),
     ],
     ids=["some", "more"],
 )
