@@ -62,6 +62,16 @@ class Placement:
         minimum=0,
         maximum=1,
     )
+    collider_blob: str | None = column(
+        "Convex pieces of this object alone, scaled, in its own frame, GLB with one node each: the asset's, cut back where they were in "
+        "neighbors, walls or what carries the object; missing where the asset's own stand for it",
+        blob=True,
+    )
+    collider_cut_share: float | None = column(
+        "Of the volume of the asset's pieces what was cut away of them; missing where a finished dataset says nothing of them",
+        minimum=0,
+        maximum=1,
+    )
 
 
 @record("supports", key=("scene_id", "instance_id"), stage="optimization")

@@ -18,9 +18,9 @@ from schemas.errors import InputError
 from schemas.lineage.licenses import of_asset, stated
 from schemas.optimization import Placement, Support
 from tasks.exports.config import ExportsConfig
-from tasks.geometry.mass import MassProperties
+from tasks.geometry.mass import MassProperties, mass_properties
 from tasks.geometry.meshes import load_glb
-from tasks.geometry.pieces import Hull, Method, asset_pieces
+from tasks.geometry.pieces import Hull, Method, asset_pieces, read_pieces
 from tasks.geometry.transforms import is_rigid, matrix
 from tasks.shell import room_shell
 from tasks.surfaces import textured
@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """An asset at one scale, in its own frame [m]: +Z up, origin at the bottom center.
+    """An asset at one scale, with the colliders that stand for it, in its own frame [m]: +Z up, origin at the bottom center.
 
     `glb` is unscaled, `parts` and `hulls` are scaled. `properties` are those of the hulls' union. `known` has what was made of the shape
     by `once`.
@@ -152,10 +152,10 @@ def gather(
     by_instance = {instance.instance_id: instance for instance in instances}
     by_caption = {caption.instance_id: caption for caption in captions}
     fixed = {support.instance_id for support in supports if support.is_fixed}
-    shapes: dict[tuple[str, tuple[float, ...]], Shape] = {}
+    shapes: dict[tuple[str, tuple[float, ...], str | None], Shape] = {}
     bodies, missed = [], []
     for placement in sorted(placements, key=lambda row: row.instance_id):
-        key = (placement.asset_id, placement.scale)
+        key = (placement.asset_id, placement.scale, placement.collider_blob)
         try:
             if key not in shapes:
                 shapes[key] = _shape(placement, by_asset, blobs, config, cache)
@@ -197,9 +197,12 @@ def _shape(
     for part in parts:
         part.apply_transform(np.diag([*placement.scale, 1.0]))
     hulls = tuple(hull.transformed(np.eye(4), placement.scale) for hull in made.hulls)
-    size = ",".join(f"{value:.9g}" for value in placement.scale)
-    name = f"{identifier(asset.category)}_{digest(f'{asset.asset_id} {size}', 8)}"
-    return Shape(name, asset, placement.scale, glb, parts, hulls, made.method, made.properties.scaled(placement.scale))
+    properties = made.properties.scaled(placement.scale)
+    content = ",".join([asset.asset_id, *(f"{value:.9g}" for value in placement.scale)]).replace(",", " ", 1)
+    if placement.collider_blob is not None:
+        hulls = read_pieces(blobs[placement.collider_blob], placement.collider_blob)
+        properties, content = mass_properties(hulls), f"{content} {placement.collider_blob}"
+    return Shape(f"{identifier(asset.category)}_{digest(content, 8)}", asset, placement.scale, glb, parts, hulls, made.method, properties)
 
 
 def _body(

@@ -21,7 +21,7 @@ from tasks.geometry.decomposition import parts_of, split
 from tasks.geometry.feet import on_feet
 from tasks.geometry.hulls import Hull, balanced, deviation, hull_of, reduced, with_body
 from tasks.geometry.mass import MassProperties, mass_properties
-from tasks.geometry.meshes import load_glb
+from tasks.geometry.meshes import dump_glb, load_glb
 from tasks.geometry.openings import openings
 from tasks.geometry.triangles import face_planes, welded
 from tasks.settings import Config, Whole
@@ -271,6 +271,28 @@ def _cut(surface: trimesh.Trimesh, measure: _Measure) -> list[Array]:
         lambda clouds: measure.keeps(measure.boxed(clouds)),
         config.max_pieces,
     )
+
+
+def dump_pieces(hulls: Sequence[Hull]) -> bytes:
+    """Convex pieces as a GLB with one node each, in their frame [m], positions in single precision."""
+    import trimesh
+
+    meshes = [trimesh.Trimesh(hull.vertices, hull.faces, process=False) for hull in hulls]
+    return dump_glb(meshes, [f"piece_{index:05d}" for index in range(len(hulls))])
+
+
+def read_pieces(data: bytes, file: str) -> tuple[Hull, ...]:
+    """Convex pieces of a GLB of `dump_pieces`, as convex as they are in double precision.
+
+    Raises:
+        InputError: as `load_glb`; or a piece has no volume.
+    """
+    from scipy.spatial import QhullError
+
+    try:
+        return tuple(hull_of(np.asarray(part.vertices, dtype=np.float64)) for part in load_glb(data, file))
+    except QhullError as error:
+        raise InputError(file, "content", "holds a convex piece without volume", "run the optimization stage again") from error
 
 
 def convex_hull(points: NDArray[np.float64], config: PieceConfig) -> Hull:

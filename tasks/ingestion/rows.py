@@ -224,4 +224,6 @@ def _placement(scene_id: str, instance: FinishedObject, asset_id: str, shift: np
         collider_faces=None,
         collider_early_share=None,
         collider_miss_share=None,
+        collider_blob=None,
+        collider_cut_share=None,
     )

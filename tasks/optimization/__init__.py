@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from schemas.captions import Caption
 from schemas.capture import Instance, Shell
 from schemas.optimization import APPLIED, OptimizationStep
 from schemas.selection import Selection
+from tasks.geometry.meshes import read_points
 from tasks.geometry.pieces import PieceConfig
 from tasks.optimization import default, paper, released
 from tasks.optimization.bodies import BodyConfig, bodies_of
@@ -22,32 +23,29 @@ from tasks.optimization.certificates import CertificateConfig, certificate_rows,
 from tasks.optimization.clearance import keep_clear
 from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.coverings import cut_at_walls
-from tasks.optimization.default import Default
+from tasks.optimization.default import Default, poses_at_rest, walls_of
 from tasks.optimization.falling import let_fall
 from tasks.optimization.footing import NOTE as FOOTING_NOTE
 from tasks.optimization.footing import on_their_feet
 from tasks.optimization.interior import Interior, cut_proposed, furnish
-from tasks.optimization.misfits import Fitting, fit_together, yielding
+from tasks.optimization.misfits import fit_together
 from tasks.optimization.paper import Paper
 from tasks.optimization.parting import part_slight
-from tasks.optimization.proposals import Proposal, propose
+from tasks.optimization.proposals import propose
 from tasks.optimization.released import Released
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
+from tasks.optimization.seams import cut_at_seams, with_stored_colliders
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
 from tasks.optimization.search.trace import Move, Resolution, moved_poses, replayed_poses, step_rows, with_falls, with_shifts
 from tasks.optimization.support.resting import DEEP_M, lost_supports
 from tasks.optimization.support.supports import SupportConfig
 from tasks.settings import ByKind, Config, NonNegative
-from tasks.stage import Context, Outcome, Stage
+from tasks.stage import Blobs, Context, Outcome, Stage
 
 __all__ = ["MOVES", "OUTCOMES", "STAGE", "Default", "OptimizationConfig", "Paper", "Released", "SupportConfig", "replayed_poses", "run"]
 
 Method = Annotated[Paper | Released | Default, ByKind()]
 """How collisions are resolved: a union of frozen configs, matched by type."""
-
-
-MOST_TRIES = 3
-"""How often what is stuck in the end is taken for something else or made smaller, and everything resolved again."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,6 +85,7 @@ def run(
     placed = (known, context.blobs, room, config.supports, config.pieces, context.caches)
     deepest = config.misfit_m if isinstance(config.method, Default) else np.inf  # the other methods move what they were given
     notable: dict[str, tuple[str, str]] = {}
+    blobs = Blobs()
     usable = list(selections)
     if isinstance(config.method, Default):
         alone = (known, context.blobs, None, config.supports, config.pieces, context.caches)
@@ -101,9 +100,14 @@ def run(
     fitting = fit_together(proposals, usable, known, deepest, config.supports.reach_m, lambda some: furnish(some, *placed))
     interior = fitting.interior
     notes += fitting.left_out
+    cut_shares: Mapping[str, float] = {}
+    if isinstance(config.method, Default):
+        scanned, supports = _scanned(instances, context.blobs), config.supports
+        seams = cut_at_seams(interior, scanned, walls_of(interior), lambda some: poses_at_rest(some, supports))
+        interior, cut_shares = with_stored_colliders(seams.interior, seams.shares, blobs), seams.shares
     resolved = _resolved(interior, config, context)
-    if isinstance(config.method, Default) and _stuck(resolved):
-        fitting, resolved = _freed(fitting, resolved, usable, known, config, context, lambda some: furnish(some, *placed))
+    if isinstance(config.method, Default):
+        resolved = _freed(interior, resolved, config, context)
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
@@ -126,12 +130,13 @@ def run(
     notes = [*undone, *fitting.notes, *changed, *unknown, *resolution.noted, *set_down(interior, config.supports)]
     notes += [f"{name}: {text}" for name, text in remains.items()]
     return Outcome(
-        placements=placement_rows(scene_id, interior, poses, certified, word, remains),
+        placements=placement_rows(scene_id, interior, poses, certified, word, remains, cut_shares),
         supports=support_rows(scene_id, interior, lost),
         contacts=contacts,
         optimization_steps=steps,
         optimizations=[optimization_row(scene_id, interior, resolution, contacts, word, remains, undone)],
         certificates=certificate_rows(scene_id, certified),
+        blobs=blobs,
         degradations=notes,
     )
 
@@ -147,25 +152,15 @@ class _Resolved(NamedTuple):
     steps: list[OptimizationStep]
 
 
-def _freed(
-    fitting: Fitting, resolved: _Resolved, selections: Sequence[Selection], assets: Collection[str], config: OptimizationConfig,
-    context: Context, furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
-) -> tuple[Fitting, _Resolved]:  # fmt: skip
-    """What is stuck taken for something else or made smaller, and what is stuck even then put anywhere, as far as that helps: of all tries
-    the first of the best."""
-    tries = [(fitting, resolved)]
-    for _ in range(MOST_TRIES):
-        stuck = _stuck(tries[-1][1])
-        reach_m = config.supports.reach_m
-        smaller = yielding(tries[-1][0], tries[-1][1].interior, stuck, selections, assets, reach_m, furnish) if stuck else None
-        if smaller is None:
-            break
-        tries.append((smaller, _resolved(smaller.interior, config, context)))
-    best = min(tries, key=lambda t: _stuck_depth(t[1]))
-    if stuck := _stuck(best[1]):
-        names = {name for p in stuck for name in (p.a, p.b)}
-        tries = [best, (best[0], _resolved(best[0].interior, config, context, names))]
-    return min(tries, key=lambda t: _stuck_depth(t[1]))
+def _scanned(instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> dict[str, NDArray[np.float64]]:
+    """Scanned points of instances in the world frame, shape (n, 3) [m], by instance; of those whose points are at hand."""
+    return {row.instance_id: read_points(blobs[row.points_blob], row.points_blob)[0] for row in instances if row.points_blob in blobs}
+
+
+def _freed(interior: Interior, resolved: _Resolved, config: OptimizationConfig, context: Context) -> _Resolved:
+    """What is stuck put anywhere, if that helps."""
+    names = {name for pair in _stuck(resolved) for name in (pair.a, pair.b)}
+    return min(resolved, _resolved(interior, config, context, names), key=_stuck_depth) if names else resolved
 
 
 def _stuck_depth(resolved: _Resolved) -> float:

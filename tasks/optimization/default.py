@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import ConvexParts, shell_solids
 from tasks.optimization.support.balance import draw_back
 from tasks.optimization.support.boundary import outside_share, way_in
-from tasks.optimization.support.relocation import last_resort, moves_of
+from tasks.optimization.support.relocation import last_resort, moves_of, vertices_of
 from tasks.optimization.support.resting import DEEP_M, beside, is_held, let_down, put_to_rest, shift
 from tasks.optimization.support.supports import PlacedAsset, SupportConfig, support_map
 from tasks.optimization.support.walls import wall_faces, wall_snap
@@ -40,6 +40,12 @@ MAP_REACH = 30
 
 OUTSIDE_SHARE = 0.02
 """An object of which less lies outside of the floor, seen from above, only touches a wall that was estimated."""
+
+PULLED_M = 0.05
+"""What reaches farther through a wall [m] is not pulled in, but ends at the wall: nobody moves a bookshelf because of an outline."""
+
+MOSTLY_OUTSIDE = 0.5
+"""Of an object's plan: what lies farther outside than this is pulled in all the same."""
 
 LEVER = 0.25
 """What a turn by one radian counts as displacement, in longest sides: the mean way of a box's corners."""
@@ -100,32 +106,24 @@ def resolve(
     `wedged`: objects that fit nowhere on or in what was taken for their carrier, as a first attempt has shown. anywhere: those that
     go farther than `most_way_m` where they are still in something else.
     """
-    walls = shell_solids(interior.room, WALL_M) if interior.room is not None else ()
-    solids = (*interior.solids, *walls)
-    poses = np.concatenate([interior.poses, np.tile(np.eye(4), (len(walls), 1, 1))])
-    shapes = shapes_of(solids, poses)
-    stand = stand_of(shapes, poses[:, :3, 3])
     names = interior.names
     proposed = interior
-    interior, noted = beside(interior, shapes, stand, wedged)
+    laid = _laid_out(interior, supports, wedged)
+    interior, solids, shapes, stand, drawn, noted = laid.interior, laid.solids, laid.shapes, laid.stand, laid.drawn, laid.noted
     notes: list[str] = []
-    steps: list[tuple[int, Move, str]] = []
-    steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand, supports)]
-    steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in put_to_rest(interior, shapes, stand)]
-    drawn = draw_back(interior, shapes, stand)
-    steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), "pulled_in") for i, way in drawn]
     room = arrangement_of(interior, solids, shapes, stand, supports, dict(drawn))
     generators = [rng("chain", number) for number in range(method.chains)]
     chain, tried = anneal(room, method.schedule(), method.max_moves, method.max_kept, generators, spread)
-    trace = [SearchStep(names[i], move, chain.start, chain.start, outcome) for i, move, outcome in steps]
+    trace = [SearchStep(names[i], move, chain.start, chain.start, outcome) for i, move, outcome in laid.steps]
     trace += _chain_steps(names, room, stand, chain)
     settling = let_down(interior, shapes, stand, method.most_tilt_radians, method.nudge_m_s)
     final = _loss(room, stand, DEEP_M) if chain.final == 0.0 else _loss(room, stand, method.slop_m)
     trace += [SearchStep(names[i], move, final, min(final, chain.final), outcome) for i, move, outcome in moves_of(settling)]
     stuck = _wedged(interior, shapes, stand) if final > 0.0 and not wedged else []
     if stuck:
+        poses = np.concatenate([proposed.poses, np.tile(np.eye(4), (len(solids) - len(names), 1, 1))])
         untouched = shapes_of(solids, poses)  # letting objects down has turned some of the others
-        if beside(proposed, untouched, stand_of(untouched, poses[:, :3, 3]), stuck)[1] != noted:
+        if beside(proposed, untouched, stand_of(untouched, poses[:, :3, 3]), stuck)[1] != list(noted):
             other = resolve(proposed, method, supports, rng, spread, stuck, anywhere)
             if other.settled < final:
                 return other
@@ -148,7 +146,48 @@ def resolve(
     for i, text in last.reasons.items():
         problems[names[i]] = "; ".join([text, *([problems[names[i]]] if names[i] in problems else [])])
     chains = method.chains if chain.start > 0 else 1
-    return Resolution(tuple(trace), chain.start, final, tried, chains, ended, tuple(notes), problems, interior, tuple(noted), settled)
+    return Resolution(tuple(trace), chain.start, final, tried, chains, ended, tuple(notes), problems, interior, noted, settled)
+
+
+class _Laid(NamedTuple):
+    """Objects in the room and at rest, before any is moved apart: what carries them, solids with the walls behind them, where they stand,
+    shifts of those drawn back (dx, dy) [m] by number, what was noted, and the steps that led there."""
+
+    interior: Interior
+    solids: tuple[ConvexParts, ...]
+    shapes: Shapes
+    stand: Stand
+    drawn: list[tuple[int, tuple[float, float]]]
+    noted: tuple[str, ...]
+    steps: list[tuple[int, Move, str]]
+
+
+def _laid_out(interior: Interior, supports: SupportConfig, wedged: Collection[int] = (), most_m: float = np.inf) -> _Laid:
+    walls = walls_of(interior)
+    solids = (*interior.solids, *walls)
+    poses = np.concatenate([interior.poses, np.tile(np.eye(4), (len(walls), 1, 1))])
+    shapes = shapes_of(solids, poses)
+    stand = stand_of(shapes, poses[:, :3, 3])
+    interior, noted = beside(interior, shapes, stand, wedged)
+    steps: list[tuple[int, Move, str]] = []
+    steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand, supports, most_m)]
+    steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in put_to_rest(interior, shapes, stand)]
+    drawn = draw_back(interior, shapes, stand)
+    steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), "pulled_in") for i, way in drawn]
+    return _Laid(interior, solids, shapes, stand, drawn, tuple(noted), steps)
+
+
+def walls_of(interior: Interior) -> tuple[ConvexParts, ...]:
+    """The room's walls as they keep objects in, world frame [m]; none where no room is known."""
+    return shell_solids(interior.room, WALL_M) if interior.room is not None else ()
+
+
+def poses_at_rest(interior: Interior, supports: SupportConfig) -> NDArray[np.float64]:
+    """Poses of objects in the room and at rest on what carries them, before any is moved apart, shape (n, 4, 4) [m]. What reaches through a
+    wall by more than `PULLED_M` stays there."""
+    poses = interior.poses.copy()
+    poses[:, :3, 3] = _laid_out(interior, supports, most_m=PULLED_M).stand.place[: len(poses)]
+    return poses
 
 
 def _wedged(interior: Interior, shapes: Shapes, stand: Stand) -> list[int]:
@@ -217,8 +256,11 @@ def _shifted(obj: PlacedAsset, dx: float, dy: float) -> PlacedAsset:
     return dataclasses.replace(obj, surface=surface, low=obj.low + move, high=obj.high + move)
 
 
-def _brought_in(interior: Interior, shapes: Shapes, stand: Stand, supports: SupportConfig) -> list[tuple[int, tuple[float, float], str]]:
-    """What hangs is put onto its wall, and what stands outside of the room pulled in, the shortest way. Moves `stand`."""
+def _brought_in(
+    interior: Interior, shapes: Shapes, stand: Stand, supports: SupportConfig, most_m: float
+) -> list[tuple[int, tuple[float, float], str]]:
+    """What hangs is put onto its wall, and what stands outside of the room pulled in, the shortest way, if that is no longer than `most_m`
+    [m] or most of it lies outside. Moves `stand`."""
     if interior.room is None or interior.ring is None:
         return []
     moves = []
@@ -228,9 +270,12 @@ def _brought_in(interior: Interior, shapes: Shapes, stand: Stand, supports: Supp
         if carrier.relation == "wall":
             outcome, way = "hung", wall_snap(obj, interior.room, carrier, supports.wall_m)
         elif interior.parent[i] < 0 and carrier.relation != "ceiling" and not interior.fixed[i]:
-            ring = plan_ring(obj.surface.vertices[np.unique(obj.surface.faces), :2])
-            if outside_share(ring, interior.ring) > OUTSIDE_SHARE:
+            ring = plan_ring(vertices_of(shapes, stand, i)[:, :2])
+            share = outside_share(ring, interior.ring)
+            if share > OUTSIDE_SHARE:
                 outcome, way = "pulled_in", way_in(ring, interior.ring)
+                if way is not None and math.hypot(*way) > most_m and share < MOSTLY_OUTSIDE:
+                    way = None
         if way is not None and math.hypot(*way) > 1e-6:
             shift(shapes, stand, groups[i], (*way, 0.0))
             moves.append((i, way, outcome))

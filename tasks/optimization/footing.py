@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.selection import Selection
 from tasks.geometry.transforms import matrix
@@ -18,7 +19,8 @@ from tasks.mounting import LEANS, mounting
 from tasks.optimization.interior import Interior
 from tasks.optimization.proposals import Proposal
 from tasks.optimization.shapes import shapes_of, stand_of
-from tasks.optimization.support.resting import center_of_mass
+from tasks.optimization.solids import ConvexParts, mass_properties_of
+from tasks.optimization.support.resting import shift
 from tasks.optimization.support.tipping import tip
 
 LEAST_SCORE = 0.7
@@ -83,7 +85,15 @@ def _better(
 
 def _stands(interior: Interior, most_tilt: float) -> bool:
     """Whether the only object of an interior stands on level ground, nearly as it is."""
-    shapes = shapes_of(interior.solids, interior.poses)
-    stand = stand_of(shapes, interior.poses[:, :3, 3] - [0.0, 0.0, interior.objects[0].low[2]])
-    tipped = tip(shapes, stand, 0, center_of_mass(interior, 0), np.zeros(1, dtype=np.bool_), most_tilt)
+    return stands_alone(interior.solids[0], interior.poses[0], most_tilt)
+
+
+def stands_alone(solid: ConvexParts, pose: NDArray[np.float64], most_tilt: float = MOST_LEAN_RADIANS) -> bool:
+    """Whether a solid at a rigid pose, 4x4 [m], stands on level ground, or tips by `MOST_LEAN_RADIANS` and `most_tilt` [rad] at most until
+    it does."""
+    shapes = shapes_of([solid], pose[None])
+    stand = stand_of(shapes, pose[None, :3, 3])
+    shift(shapes, stand, [0], (0.0, 0.0, -float(stand.low[0, 2])))
+    center = pose[:3, :3] @ mass_properties_of(solid).center
+    tipped = tip(shapes, stand, 0, center, np.zeros(1, dtype=np.bool_), most_tilt)
     return tipped is not None and float(tipped.rotation[2, 2]) >= np.cos(min(MOST_LEAN_RADIANS, most_tilt))

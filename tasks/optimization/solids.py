@@ -23,12 +23,14 @@ Array = NDArray[np.float64]
 class ConvexParts:
     """Convex pieces of one object. name: instance id, or the part of the room's shell. hulls: scaled, in the asset's own
     frame (+Z up, origin at the bottom center), in the world frame for the shell [m]. properties: mass properties of the
-    pieces' union, shares: how well they stand for what is seen, where these are known already."""
+    pieces' union, shares: how well they stand for what is seen, where these are known already. blob: where pieces are kept that
+    are this object's alone."""
 
     name: str
     hulls: tuple[Hull, ...]
     properties: MassProperties | None = None
     shares: ColliderShares | None = None
+    blob: str | None = None
 
     @cached_property
     def volumes(self) -> tuple[float, ...]:

@@ -16,6 +16,8 @@ SELECT
     240 AS collider_faces,
     CASE WHEN u(object, 'early') < 0.02 THEN 0.05 ELSE 0.004 END AS collider_early_share,
     0.001 AS collider_miss_share,
+    NULL AS collider_blob,
+    0.0 AS collider_cut_share,
     'default' AS method,
     CASE WHEN u(object, 'remains') < 0.01 THEN 'nothing carries it' END AS remains
 FROM (

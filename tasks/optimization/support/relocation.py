@@ -181,14 +181,14 @@ def _deep_pairs(solids: Sequence[ConvexParts], room: Arrangement, stand: Stand) 
 
 def _placed(solid: ConvexParts, shapes: Shapes, stand: Stand, body: int) -> ConvexParts:
     """A body where it stands, as a solid in the world frame."""
-    vertices, hulls = _vertices(shapes, stand, body), []
+    vertices, hulls = vertices_of(shapes, stand, body), []
     for hull in solid.hulls:
         hulls.append(Hull(vertices[: len(hull.vertices)], hull.faces))
         vertices = vertices[len(hull.vertices) :]
     return ConvexParts(solid.name, tuple(hulls))
 
 
-def _vertices(shapes: Shapes, stand: Stand, body: int) -> Array:
+def vertices_of(shapes: Shapes, stand: Stand, body: int) -> Array:
     """Vertices of a body in the world frame [m], shape (n, 3)."""
     first, last = shapes.first_piece[body], shapes.first_piece[body + 1]
     x, y, z = shapes.vertices[shapes.first_vertex[first] : shapes.first_vertex[last]].T
@@ -231,7 +231,7 @@ def _shifts(interior: Interior, room: Arrangement, stand: Stand, obj: int, came_
     came from, nearest first, shape (n, 2)."""
     import shapely
 
-    plan = np.concatenate([_vertices(room.shapes, stand, body)[:, :2] for body in interior.groups()[obj]])
+    plan = np.concatenate([vertices_of(room.shapes, stand, body)[:, :2] for body in interior.groups()[obj]])
     n = len(interior.objects)
     if interior.ring is not None:
         ring = plan_ring(plan)

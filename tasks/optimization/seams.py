@@ -1,0 +1,267 @@
+"""Seams: colliders cut back from one another, so that objects stay where they were scanned.
+
+Scanned objects are beside each other; their assets bulge, and labels bleed. Engines see colliders only, so these give way before any
+object moves: space that two colliders share belongs to the object whose scanned points lie there, and the other one ends at the seam. What
+sank into its carrier ends at that carrier's top.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.geometry.cutting import beyond, shared_by, without
+from tasks.geometry.hulls import Hull
+from tasks.geometry.pieces import dump_pieces, read_pieces
+from tasks.geometry.transforms import inverse
+from tasks.geometry.triangles import face_planes
+from tasks.optimization.contacts import FLOOR, Colliders, Penetration
+from tasks.optimization.footing import stands_alone
+from tasks.optimization.interior import Interior
+from tasks.optimization.solids import ConvexParts
+from tasks.optimization.support.supports import PlacedAsset
+from tasks.stage import Blobs
+
+Array = NDArray[np.float64]
+
+SUNK_M = 0.03
+"""What sank less deep into its carrier [m] is lifted out of it: nobody sees so short a way."""
+
+SEAM_M = 0.02
+"""Objects that are less deep in each other [m] are moved apart: nobody sees so short a way, and their colliders stay simple."""
+
+SLIGHT_M = 0.0005
+"""Pieces that are less deep in each other [m] than this stay whole; the search parts them."""
+
+CLEAR_M = 0.001
+"""Half of the gap that neighbors keep [m], on either side of a seam beside what keeps its place."""
+
+BLEED_M = 0.02
+"""Scanned points this far outside of what two pieces share [m] still count: surfaces are as far off."""
+
+LEAST_LEFT = 0.5
+"""Of the volume of a collider: one that would lose more is another object's."""
+
+MOST_PIECES = 128
+"""Pieces of a collider; engines slow down with each."""
+
+MOST_POINTS = 4000
+"""Scanned points of an object that are asked where they lie."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Seams:
+    """An interior whose colliders end at seams. shares: of the volume of colliders that were cut what is gone, by instance."""
+
+    interior: Interior
+    shares: Mapping[str, float]
+
+
+def cut_at_seams(
+    interior: Interior, points: Mapping[str, Array], walls: Sequence[ConvexParts], at_rest: Callable[[Interior], Array]
+) -> Seams:
+    """The interior with colliders cut back at carriers, walls and neighbors.
+
+    points: scanned points of instances in the world frame [m], shape (n, 3) each. walls: the room's, as thick as they keep objects in,
+    world frame. at_rest: poses of an interior's objects at rest on their carriers, shape (n, 4, 4) [m].
+    """
+    whole = [_volume(solid.hulls) for solid in interior.solids]
+    interior = _ended_at_carriers(interior)
+    poses = at_rest(interior)
+    bodies = [list(solid.placed(pose)) for solid, pose in zip(interior.solids, poses, strict=True)]
+    scanned = [_thinned(points.get(name, np.zeros((0, 3)))) + (pose - proposed)[:3, 3] for name, pose, proposed in zip(
+        interior.names, poses, interior.poses, strict=True)]  # fmt: skip
+    fixed_parts = [list(wall.hulls) for wall in walls]
+    meeting = [p for p in Colliders(interior.solids, walls).penetrations(poses) if p.depth_m > SEAM_M and _may_cut(interior, p)]
+    cut: set[int] = set()
+    for pair in sorted(meeting, key=lambda p: (-p.depth_m, p.index_a, p.index_b)):
+        a, b = pair.index_a, pair.index_b
+        keeps, larger = scanned[b] if b < len(bodies) else None, _is_larger(whole, a, b)
+        others = bodies[b] if b < len(bodies) else fixed_parts[b - len(bodies)]
+        one_side: tuple[Way, ...] = ("first", "second") if larger else ("second", "first")
+        for way in ("points", *one_side, "both") if b < len(bodies) else ("first",):
+            first, second = _parted(bodies[a], others, scanned[a], keeps, way, larger)
+            sides = [(a, first), *([(b, second)] if b < len(bodies) else [])]
+            if all(_is_good(interior, poses, i, bodies[i], made, whole[i]) for i, made in sides):
+                for i, made in sides:
+                    if made is not bodies[i]:
+                        bodies[i] = made
+                        cut.add(i)
+                break
+    solids = list(interior.solids)
+    for i in cut:
+        back = inverse(poses[i])
+        hulls = tuple(hull.transformed(back) for hull in bodies[i])
+        solids[i] = ConvexParts(solids[i].name, hulls, None, solids[i].shares)
+    changed = dataclasses.replace(interior, solids=tuple(solids))
+    shares = {
+        name: max(0.0, 1.0 - _volume(solid.hulls) / max(before, 1e-12))
+        for name, solid, before in zip(changed.names, changed.solids, whole, strict=True)
+        if solid.properties is None
+    }
+    return Seams(changed, shares)
+
+
+def with_stored_colliders(interior: Interior, cut: Collection[str], blobs: Blobs) -> Interior:
+    """The interior with the colliders of instances in `cut` as they are read back from the blobs that are kept of them."""
+    solids = []
+    for solid in interior.solids:
+        if solid.name in cut:
+            name = blobs.add(dump_pieces(solid.hulls), "glb")
+            solid = dataclasses.replace(solid, hulls=read_pieces(blobs[name], name), blob=name)
+        solids.append(solid)
+    return dataclasses.replace(interior, solids=tuple(solids))
+
+
+def _ended_at_carriers(interior: Interior) -> Interior:
+    """What sank into its carrier by more than `SUNK_M` ends at the top of that, collider and surface, and is lifted no more."""
+    solids, objects, carriers = list(interior.solids), list(interior.objects), list(interior.carriers)
+    own = [c.lift - (carriers[p].lift if p >= 0 else 0.0) for c, p in zip(carriers, interior.parent.tolist(), strict=True)]
+    for i, carrier in enumerate(interior.carriers):
+        parent = int(interior.parent[i])
+        if carrier.relation in ("floor", "on", "inside") and carrier.gap < -SUNK_M and not interior.covering[i] and not interior.fixed[i]:
+            obj, pose = objects[i], interior.poses[i]
+            level = float(obj.low[2]) - carrier.gap
+            up = pose[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+            kept = [part for hull in solids[i].hulls if (part := beyond(hull, up, level - float(pose[2, 3])))]
+            made = ConvexParts(solids[i].name, tuple(kept), None, solids[i].shares)
+            if kept and _volume(kept) >= LEAST_LEFT * _volume(solids[i].hulls) and _still_stands(solids[i], made, pose):
+                solids[i], own[i] = made, 0.0
+                objects[i] = _ended(obj, level)
+                carriers[i] = dataclasses.replace(carrier, gap=0.0)
+        carriers[i] = dataclasses.replace(carriers[i], lift=own[i] + (carriers[parent].lift if parent >= 0 else 0.0))
+    return dataclasses.replace(interior, solids=tuple(solids), objects=tuple(objects), carriers=tuple(carriers))
+
+
+def _ended(obj: PlacedAsset, level: float) -> PlacedAsset:
+    """A placed asset whose surface ends at a height [m]."""
+    vertices = obj.surface.vertices.copy()
+    vertices[:, 2] = np.maximum(vertices[:, 2], level)
+    surface = dataclasses.replace(obj.surface, vertices=vertices)
+    return dataclasses.replace(obj, surface=surface, low=np.array([obj.low[0], obj.low[1], level]))
+
+
+def _may_cut(interior: Interior, pair: Penetration) -> bool:
+    """Whether a pair of objects, or an object and a wall, part at a seam."""
+    a, b, count = pair.index_a, pair.index_b, len(interior.objects)
+    sides = [i for i in (a, b) if i < count]
+    if any(interior.covering[i] for i in sides):
+        return False  # rugs lie below others, and end at walls
+    if b >= count:
+        return pair.b != FLOOR and not interior.fixed[a]
+    return not (interior.fixed[a] and interior.fixed[b])
+
+
+def _is_larger(volumes: Sequence[float], a: int, b: int) -> bool:
+    """Whether a is the larger one of two bodies; a wall is larger than anything."""
+    return b < len(volumes) and (volumes[a], a) > (volumes[b], b)
+
+
+Way = Literal["points", "first", "second", "both"]
+"""Which of two bodies is cut: the one whose points do not lie there, one of them, or both in the middle."""
+
+
+def _parted(
+    first: list[Hull], second: list[Hull], points: Array, others: Array | None, way: Way, first_is_larger: bool
+) -> tuple[list[Hull], list[Hull]]:
+    """Pieces of two bodies in the world frame, parted. By points, of each pair of pieces the one is cut in whose space fewer of its
+    object's points lie than of the other's, of equal ones the larger object's.
+
+    points, others: scanned points of the two, shape (n, 3) [m]; None for a wall, which keeps all.
+    """
+    waiting, done, rest = list(first), list[Hull](), list(second)
+    while waiting and len(done) + len(waiting) + len(rest) < 2 * MOST_PIECES + len(first) + len(second):
+        piece, at, is_whole = waiting.pop(0), 0, True
+        while at < len(rest) and is_whole:
+            other = rest[at]
+            if not _overlap(piece, other):
+                at += 1
+                continue
+            loses = way == "first"
+            if way == "points":
+                mine, theirs = _count(points, piece, other), _count(others, piece, other) if others is not None else 1
+                loses = mine < theirs or (mine == theirs and first_is_larger)
+            if way == "both":
+                mine_left, rest[at : at + 1] = _halved(piece, other)
+                waiting[:0] = mine_left
+                is_whole = False
+            elif loses:
+                waiting[:0] = without(piece, other, CLEAR_M)
+                is_whole = False
+            else:
+                rest[at : at + 1] = without(other, piece, CLEAR_M)
+        if is_whole:
+            done.append(piece)
+    return _same(first, [*done, *waiting]), _same(second, rest)
+
+
+def _same(before: list[Hull], after: list[Hull]) -> list[Hull]:
+    """The list of before where nothing changed."""
+    return before if len(before) == len(after) and all(a is b for a, b in zip(before, after, strict=True)) else after
+
+
+def _halved(piece: Hull, other: Hull) -> tuple[list[Hull], list[Hull]]:
+    """Two pieces that end in the middle of what they share, along the way on which that is shortest."""
+    best: tuple[float, Array, float, Hull, Hull] | None = None
+    for near, far in ((piece, other), (other, piece)):
+        normals, offsets = face_planes(near.vertices, near.faces, 1e-14)
+        starts = (far.vertices @ normals.T).min(axis=0)
+        at = int((offsets - starts).argmin())
+        if best is None or offsets[at] - starts[at] < best[0]:
+            best = float(offsets[at] - starts[at]), normals[at], 0.5 * float(offsets[at] + starts[at]), near, far
+    assert best is not None
+    _, normal, middle, near, far = best
+    kept = [part for part in (beyond(near, -normal, CLEAR_M - middle),) if part is not None]
+    left = [part for part in (beyond(far, normal, middle + CLEAR_M),) if part is not None]
+    return (kept, left) if near is piece else (left, kept)
+
+
+def _overlap(piece: Hull, other: Hull) -> bool:
+    """Whether two pieces are in each other by more than `SLIGHT_M`, along the axes and the normals of both."""
+    low = np.maximum(piece.vertices.min(axis=0), other.vertices.min(axis=0))
+    high = np.minimum(piece.vertices.max(axis=0), other.vertices.max(axis=0))
+    if (high - low).min() <= SLIGHT_M:
+        return False
+    normals, offsets = shared_by(piece, other)
+    lowest = np.maximum((piece.vertices @ normals.T).min(axis=0), (other.vertices @ normals.T).min(axis=0))
+    return bool((offsets - lowest).min() > SLIGHT_M)
+
+
+def _count(points: Array, piece: Hull, other: Hull) -> int:
+    """How many points, shape (n, 3) [m], lie in what two pieces share, or near it."""
+    low = np.maximum(piece.vertices.min(axis=0), other.vertices.min(axis=0)) - BLEED_M
+    high = np.minimum(piece.vertices.max(axis=0), other.vertices.max(axis=0)) + BLEED_M
+    near = points[((points >= low) & (points <= high)).all(axis=1)]
+    normals, offsets = shared_by(piece, other)
+    return int(((near @ normals.T) <= offsets + BLEED_M).all(axis=1).sum())
+
+
+def _is_good(interior: Interior, poses: Array, i: int, before: list[Hull], after: list[Hull], whole: float) -> bool:
+    """Whether an object may have a collider that was cut: most of it is left, and what stood by itself still does."""
+    if after is before:
+        return True
+    if not after or len(after) > max(MOST_PIECES, len(before)) or _volume(after) < LEAST_LEFT * whole:
+        return False
+    if interior.fixed[i] or interior.carriers[i].relation not in ("floor", "on", "inside"):
+        return True
+    name = interior.names[i]
+    return _still_stands(ConvexParts(name, tuple(before)), ConvexParts(name, tuple(after)), np.eye(4))
+
+
+def _still_stands(before: ConvexParts, after: ConvexParts, pose: Array) -> bool:
+    """Whether a solid at a pose, 4x4 [m], stands on level ground, or did not before."""
+    return stands_alone(after, pose) or not stands_alone(before, pose)
+
+
+def _volume(hulls: Sequence[Hull]) -> float:
+    """Sum of the volumes of pieces [m3]."""
+    return float(sum(hull.volume for hull in hulls))
+
+
+def _thinned(points: Array) -> Array:
+    """Every so many points, `MOST_POINTS` at most, shape (n, 3)."""
+    return points[:: max(1, -(-len(points) // MOST_POINTS))]
