@@ -38,6 +38,9 @@ MINIMUM_M = 1e-3
 MAXIMUM_M = 20.0
 """Longest extent that is drawn: more is no furniture."""
 
+MAX_DRAWINGS = 8
+"""Drawings of a category before it counts as one with a single template: some have variants in a part of their drawings only."""
+
 __all__ = ["CATEGORIES", "FAMILIES", "FurnitureModel", "canonical_category", "generate", "is_known", "typical_extents"]
 
 
@@ -86,8 +89,11 @@ def generate(
         draft = Draft(category, (x, y, z), rng, color)
         fallback.draw(draft)
     else:
-        draft = Draft(category, REGISTRY[known].drawn_extents((x, y, z)), rng, color, half)
-        REGISTRY[known].draw(draft)
-        if not draft.has_variants and not has_single_template(half, known):
+        for _ in range(MAX_DRAWINGS):
+            draft = Draft(category, REGISTRY[known].drawn_extents((x, y, z)), rng, color, half)
+            REGISTRY[known].draw(draft)
+            if draft.has_variants or has_single_template(half, known):
+                break
+        else:
             raise TemplateWithheld(f"the only template of a {known} is not among those {half}")
     return draft.model((x, y, z))
