@@ -47,6 +47,7 @@ class CandidatesConfig(Config):
     search: SearchWeights = dataclasses.field(default_factory=SearchWeights)  # by rooms that real models were scanned in
     encoder: str = ""  # folder of the CLIP or SigLIP that a library was indexed with; without one no vectors are compared
     views: ViewsConfig = dataclasses.field(default_factory=ViewsConfig)  # of frames, for twins that are painted with them
+    withheld: bool = False  # leaves out the half of the templates that furnishes wild rooms, so that none is its own stand-in there
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -166,7 +167,7 @@ def _filled(part: _Part) -> dict[str, Slotted]:
         frame, mask = part.best.get(row.instance_id, (None, None))
         requests[row.instance_id] = CandidateRequest(
             row, part.captions.get(row.instance_id), part.context, part.retrieval, part.objects, frame, mask,
-            part.views[row.instance_id], part.unseen,
+            part.views[row.instance_id], part.unseen, is_withholding=part.config.withheld,
         )  # fmt: skip
     filled: dict[str, Slotted] = {}
     fitted: dict[str, MadeAsset] = {}

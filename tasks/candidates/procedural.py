@@ -6,7 +6,7 @@ import dataclasses
 from typing import TYPE_CHECKING, ClassVar
 
 from tasks.candidates.assets import MadeAsset, make_asset
-from tasks.candidates.provider import CandidateProvider
+from tasks.candidates.provider import CandidateProvider, NothingToOffer
 from tasks.captions.physics import known_name
 from tasks.settings import Config, Whole
 
@@ -27,13 +27,21 @@ class Procedural(Config):
 
 
 def procedural_asset(request: CandidateRequest, provider: Procedural) -> MadeAsset:
-    """The generator's model for an instance."""
+    """The generator's model for an instance.
+
+    Raises:
+        NothingToOffer: the category has no template but one that is withheld.
+    """
     from tasks.furniture import generate
+    from tasks.furniture.halves import TemplateWithheld
 
     category = generator_category(request.category)
     extents = fronted_extents(category, request.extents)
     rng = request.context.rng(provider.kind, request.instance.instance_id, provider.variant)
-    model = generate(category, extents, rng, color=request.color)
+    try:
+        model = generate(category, extents, rng, color=request.color, half="offered" if request.is_withholding else "all")
+    except TemplateWithheld as problem:
+        raise NothingToOffer(str(problem)) from problem
     return make_asset(
         model.parts,
         provider=provider.kind,

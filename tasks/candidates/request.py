@@ -51,8 +51,8 @@ NO_POINTS = "the points of the instance are not among the blobs"
 class CandidateRequest:
     """An instance to be stood in for, how the library is searched where one is given, and the scene's objects. frame, mask: Of its best
     view, as far as they are known. views: Frames that show it, and unseen, why there are none. filled: Assets of slots that are filled
-    already, by slot, for those that paint them. drawn: What providers drew that draw looks, for those that look alike. What is computed
-    once for several slots is a property."""
+    already, by slot, for those that paint them. drawn: What providers drew that draw looks, for those that look alike.
+    is_withholding: leaves out the templates that furnish wild rooms. What is computed once for several slots is a property."""
 
     instance: Instance
     caption: Caption | None
@@ -65,6 +65,7 @@ class CandidateRequest:
     unseen: str = ""
     filled: dict[int, MadeAsset] = dataclasses.field(default_factory=dict, repr=False, compare=False)
     drawn: dict[ProviderConfig, MadeAsset] = dataclasses.field(default_factory=dict, repr=False, compare=False)
+    is_withholding: bool = False
 
     @cached_property
     def target(self) -> tuple[NDArray[np.float64], ScannedInstance]:

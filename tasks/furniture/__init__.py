@@ -23,6 +23,7 @@ from tasks.furniture import (
     tableware,
 )
 from tasks.furniture.drafting import ALIASES, REGISTRY, Draft, Extents, FurnitureModel
+from tasks.furniture.halves import Half, TemplateWithheld, has_single_template
 from tasks.furniture.palette import Color
 
 FAMILIES = (seating, tables, storage, beds, lighting, tableware, electronics, appliances, bath, decor)
@@ -36,6 +37,9 @@ MINIMUM_M = 1e-3
 
 MAXIMUM_M = 20.0
 """Longest extent that is drawn: more is no furniture."""
+
+MAX_DRAWINGS = 8
+"""Drawings of a category before it counts as one with a single template: some have variants in a part of their drawings only."""
 
 __all__ = ["CATEGORIES", "FAMILIES", "FurnitureModel", "canonical_category", "generate", "is_known", "typical_extents"]
 
@@ -62,13 +66,17 @@ def typical_extents(category: str) -> Extents:
     return REGISTRY[known].extents if known else (0.4, 0.4, 0.4)
 
 
-def generate(category: str, extents: Extents | None, rng: np.random.Generator, color: Color | None = None) -> FurnitureModel:
+def generate(
+    category: str, extents: Extents | None, rng: np.random.Generator, color: Color | None = None, half: Half = "all"
+) -> FurnitureModel:
     """A model of a category whose bounds equal `extents` [m], shape (3,); usual ones, a little varied, when None.
 
-    `color`: RGB 0..255 of its main surface; by chance when None.
+    `color`: RGB 0..255 of its main surface; by chance when None. `half`: templates to draw from; an unknown category has a plain body
+    in either half.
 
     Raises:
         ValueError: an extent is not finite, or below a millimetre, or above 20 m.
+        TemplateWithheld: the category has a single template, which is not in the half.
     """
     if extents is None:
         x, y, z = (float(v) for v in np.array(typical_extents(category)) * rng.uniform(0.93, 1.07, 3))
@@ -81,6 +89,11 @@ def generate(category: str, extents: Extents | None, rng: np.random.Generator, c
         draft = Draft(category, (x, y, z), rng, color)
         fallback.draw(draft)
     else:
-        draft = Draft(category, REGISTRY[known].drawn_extents((x, y, z)), rng, color)
-        REGISTRY[known].draw(draft)
+        for _ in range(MAX_DRAWINGS):
+            draft = Draft(category, REGISTRY[known].drawn_extents((x, y, z)), rng, color, half)
+            REGISTRY[known].draw(draft)
+            if draft.has_variants or has_single_template(half, known):
+                break
+        else:
+            raise TemplateWithheld(f"the only template of a {known} is not among those {half}")
     return draft.model((x, y, z))

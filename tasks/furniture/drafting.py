@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.furniture.halves import Half, variants_in
 from tasks.furniture.palette import Color, pick, shade
 from tasks.furniture.solids import Solid, Span, box, cushion, cylinder, wedge
 from tasks.geometry.pieces import Hull
@@ -46,12 +47,14 @@ class Draft:
     The drawn object should nearly fill these extents; `model` fits it exactly.
     """
 
-    def __init__(self, category: str, extents: Extents, rng: np.random.Generator, color: Color | None) -> None:
+    def __init__(self, category: str, extents: Extents, rng: np.random.Generator, color: Color | None, half: Half = "all") -> None:
         self.category = category
         self.X, self.Y, self.Z = extents
         self.hx, self.hy = 0.5 * self.X, 0.5 * self.Y
         self.rng = rng
         self.variant = ""
+        self.half: Half = half
+        self.has_variants = False
         self._color = color
         self._solids: list[tuple[str, Color, Solid]] = []
 
@@ -65,8 +68,10 @@ class Draft:
         return pick(colors, self.rng)
 
     def one_of(self, *variants: str) -> str:
-        """A variant by chance; it becomes part of the model's name."""
-        chosen = variants[int(self.rng.integers(len(variants)))]
+        """A variant of the draft's half by chance; it becomes part of the model's name."""
+        self.has_variants |= len(variants) > 1
+        allowed = variants_in(self.half, variants)
+        chosen = allowed[int(self.rng.integers(len(allowed)))]
         self.variant = chosen if not self.variant else f"{self.variant} {chosen}"
         return chosen
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.furniture import generate, typical_extents
+from tasks.furniture.halves import Half
 from tasks.furniture.storage import shelf_levels
 from tasks.geometry.boxes import box_footprint, oriented_overlap
 from tasks.geometry.rendering import RayScene
@@ -79,7 +80,9 @@ class Wall:
 
 
 class Furnisher:
-    """Places objects in a room without collisions; every method returns None when it finds no place."""
+    """Places objects in a room without collisions; every method returns None when it finds no place. half: templates to draw from."""
+
+    half: Half = "all"
 
     def __init__(self, polygon: Array, height: float, rng: np.random.Generator) -> None:
         from shapely.geometry import Polygon
@@ -335,9 +338,9 @@ class Furnisher:
     def _model(self, category: str, size: Extents, pose: Array, parent: str) -> Furnishing:
         if category in SETS:
             self._sets.setdefault(category, (int(self.rng.integers(2**63)), size))
-            model = generate(category, size, np.random.default_rng(self._sets[category][0]))
+            model = generate(category, size, np.random.default_rng(self._sets[category][0]), half=self.half)
         else:
-            model = generate(category, size, self.rng)
+            model = generate(category, size, self.rng, half=self.half)
         name = f"{category.replace(' ', '_')}_{len(self.objects):03d}"
         return Furnishing(name, category, model.parts, model.pieces, pose, size, parent)
 

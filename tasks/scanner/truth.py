@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from schemas.parsing import json_value
 from tasks.furniture.dwellings import Dwelling
 from tasks.geometry.transforms import flat
+from tasks.scanner.bleeding import Bleed
 from tasks.scanner.defects import Annotated, Blindness
 from tasks.scanner.scenery import Scenery
 
@@ -85,6 +87,17 @@ class TrueInstance:
 
 
 @dataclasses.dataclass(frozen=True)
+class TrueBleed:
+    """A strip of vertices that is annotated as the neighbor of its object. source, into: names of the object and of that neighbor, also of
+    the house's own parts. reach_m: distance from the neighbor up to which its label reaches [m]."""
+
+    source: str
+    into: str
+    reach_m: float
+    vertices: int
+
+
+@dataclasses.dataclass(frozen=True)
 class DwellingTruth:
     """All of it. alignment: scan frame to world, 4x4 row by row [m]. unseen: share of the objects' surface without mesh."""
 
@@ -98,6 +111,7 @@ class DwellingTruth:
     unseen: float
     hole_count: int
     frame_count: int
+    bleeds: tuple[TrueBleed, ...] = ()
 
     def to_json(self) -> str:
         """As JSON; `from_json` gives the same back."""
@@ -118,12 +132,13 @@ class DwellingTruth:
             unseen=raw["unseen"],
             hole_count=raw["hole_count"],
             frame_count=raw["frame_count"],
+            bleeds=tuple(TrueBleed(**_tuples(row)) for row in raw.get("bleeds", ())),
         )
 
 
 def truth_of(
     scan: str, home: Dwelling, scenery: Scenery, alignment: Array, observed: Array, unseen: float, annotated: list[Annotated],
-    blind: Blindness, frames: int,
+    blind: Blindness, frames: int, bleeds: Sequence[Bleed] = (),
 ) -> DwellingTruth:  # fmt: skip
     """The truth about a scan of a dwelling."""
     number = {obj.name: index for index, obj in enumerate(scenery.objects)}
@@ -165,6 +180,9 @@ def truth_of(
         unseen=round(unseen, 4),
         hole_count=len(blind.radii),
         frame_count=frames,
+        bleeds=tuple(
+            TrueBleed(scenery.objects[b.source].name, scenery.objects[b.into].name, round(b.reach_m, 4), b.vertices) for b in bleeds
+        ),
     )
 
 

@@ -32,6 +32,11 @@ LET_IN = ("sink", "stove", "oven", "basin", "hob", "cooktop")
 """What worktops are cut out for."""
 
 
+def is_withheld(template: FurnitureTemplate) -> bool:
+    """True for the half of the templates that look like furniture of wild rooms: U-shaped, right-handed, with uprights or a pedestal."""
+    return template.name == "U" or any(word in template.name for word in ("right", "pedestal"))
+
+
 def kind_of(request: CandidateRequest) -> str | None:
     """The category of the generator that an instance is of; None where it has no template."""
     from tasks.furniture import canonical_category
@@ -60,7 +65,8 @@ def forms_of(kind: str, request: CandidateRequest, points: Array) -> list[tuple[
             made = shelves(extents, board_levels(points, request.extents)) if extents[0] <= SQUARE * extents[1] else []
         else:
             made = tables(extents)
-        forms += [(template, turn) for template in made if turn in template.turns]
+        offered = [template for template in made if not (request.is_withholding and is_withheld(template))]
+        forms += [(template, turn) for template in offered if turn in template.turns]
     return forms
 
 

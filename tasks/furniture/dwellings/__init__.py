@@ -89,7 +89,7 @@ def dwelling(seed: int | tuple[int, ...], settings: DwellingSettings | None = No
         for at, feature in features:
             if at == index:
                 furnisher.zones += feature.zones
-        openings += _openings(furnisher, plan, index)
+        openings += fill_openings(furnisher, plan, index)
     for index, furnisher in enumerate(furnishers):
         furnish_room(furnisher, plan, index, int(wanted[index]))
     for _ in range(3):
@@ -99,7 +99,7 @@ def dwelling(seed: int | tuple[int, ...], settings: DwellingSettings | None = No
                 fill(furnisher, len(furnisher.objects) + missing)
                 missing = count - sum(len(f.objects) for f in furnishers)
     for furnisher in furnishers:
-        _part(furnisher)
+        part_objects(furnisher)
     objects = [obj for furnisher in furnishers for obj in furnisher.objects]
     fitted = frozenset(
         obj.name for furnisher in furnishers for obj in furnisher.objects if obj.name in furnisher.fitted or obj.parent in HUNG
@@ -116,7 +116,7 @@ def dwelling(seed: int | tuple[int, ...], settings: DwellingSettings | None = No
     )
 
 
-def _part(furnisher: RoomFurnisher) -> None:
+def part_objects(furnisher: RoomFurnisher) -> None:
     """Take out what is in another object by more than `OVERLAP_M`, the later of the two, with all that stands on it."""
     objects = furnisher.objects
     number = {obj.name: index for index, obj in enumerate(objects)}
@@ -190,7 +190,7 @@ def _near_end(length: float, opening: Opening, side: int) -> bool:
     return opening.span[0] < SLOPE_M - 0.01 if side > 0 else opening.span[1] > length - SLOPE_M + 0.01
 
 
-def _openings(furnisher: RoomFurnisher, plan: FloorPlan, index: int) -> list[TrueOpening]:
+def fill_openings(furnisher: RoomFurnisher, plan: FloorPlan, index: int) -> list[TrueOpening]:
     """Doors and windows into their openings; the floor before doors, and the air before windows, stay clear."""
     rng = furnisher.rng
     openings: list[TrueOpening] = []
@@ -200,7 +200,7 @@ def _openings(furnisher: RoomFurnisher, plan: FloorPlan, index: int) -> list[Tru
         if opening.kind == "window":
             size = (0.1, opening.width - 0.01, opening.high - opening.low - 0.01)
             pose = furnisher.at_wall(opening.wall, opening.at, size[0], opening.low + 0.005, -size[0] - float(rng.uniform(0.01, 0.06)))
-            placed = furnisher.let_in("window", generate("window", size, rng), size, pose, "wall")
+            placed = furnisher.let_in("window", generate("window", size, rng, half=furnisher.half), size, pose, "wall")
             instance, leaf = placed.name, face_of(placed)
             zone = furnisher.at_wall(opening.wall, opening.at, 0.3, max(middle, opening.low), 0.14)
             furnisher.zones.append((zone, (0.3, opening.width, opening.high - opening.low - 0.04)))
@@ -222,7 +222,7 @@ def _door(furnisher: RoomFurnisher, opening: Opening, rng: np.random.Generator) 
     fits = 0.12 < hinge < wall.length - 0.12
     if opening.to >= 0 and fits and rng.random() < 0.65:
         pose = furnisher.at_wall(opening.wall, hinge, 0.0, 0.006, 0.02) @ yaw_pose(0.5 * np.pi, [0.5 * size[1], 0.0, 0.0])
-    placed = furnisher.let_in("door", generate("door", size, rng), size, pose, "wall")
+    placed = furnisher.let_in("door", generate("door", size, rng, half=furnisher.half), size, pose, "wall")
     return placed.name, face_of(placed)
 
 
