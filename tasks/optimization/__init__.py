@@ -34,7 +34,7 @@ from tasks.optimization.parting import part_slight
 from tasks.optimization.proposals import propose
 from tasks.optimization.released import Released
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
-from tasks.optimization.seams import cut_at_seams, with_stored_colliders
+from tasks.optimization.seams import SEAM_M, Seams, cut_at_seams, with_stored_colliders
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
 from tasks.optimization.search.trace import Move, Resolution, moved_poses, replayed_poses, step_rows, with_falls, with_shifts
 from tasks.optimization.support.resting import DEEP_M, lost_supports
@@ -53,7 +53,7 @@ class OptimizationConfig(Config):
     """How assets are put to rest and apart."""
 
     method: Method = dataclasses.field(default_factory=Default)  # no pair of the benchmark stays deeper than 2 mm
-    misfit_m: NonNegative = 0.12  # assets deeper in each other than this have the wrong shape: a scan's objects are beside each other
+    misfit_m: NonNegative = 0.02  # deeper, and another asset that fits its object as well is taken, if it leaves the other its place
     supports: SupportConfig = dataclasses.field(default_factory=SupportConfig)
     pieces: PieceConfig = dataclasses.field(default_factory=PieceConfig)
     bodies: BodyConfig = dataclasses.field(default_factory=BodyConfig)
@@ -100,14 +100,9 @@ def run(
     fitting = fit_together(proposals, usable, known, deepest, config.supports.reach_m, lambda some: furnish(some, *placed))
     interior = fitting.interior
     notes += fitting.left_out
-    cut_shares: Mapping[str, float] = {}
+    resolved, cut_shares = _resolved(interior, config, context), {}
     if isinstance(config.method, Default):
-        scanned, supports = _scanned(instances, context.blobs), config.supports
-        seams = cut_at_seams(interior, scanned, walls_of(interior), lambda some: poses_at_rest(some, supports))
-        interior, cut_shares = with_stored_colliders(seams.interior, seams.shares, blobs), seams.shares
-    resolved = _resolved(interior, config, context)
-    if isinstance(config.method, Default):
-        resolved = _freed(interior, resolved, config, context)
+        resolved, cut_shares = _beside_each_other(interior, instances, config, context, blobs)
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
@@ -157,10 +152,23 @@ def _scanned(instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> dict[
     return {row.instance_id: read_points(blobs[row.points_blob], row.points_blob)[0] for row in instances if row.points_blob in blobs}
 
 
-def _freed(interior: Interior, resolved: _Resolved, config: OptimizationConfig, context: Context) -> _Resolved:
-    """What is stuck put anywhere, if that helps."""
-    names = {name for pair in _stuck(resolved) for name in (pair.a, pair.b)}
-    return min(resolved, _resolved(interior, config, context, names), key=_stuck_depth) if names else resolved
+def _beside_each_other(
+    interior: Interior, instances: Sequence[Instance], config: OptimizationConfig, context: Context, blobs: Blobs
+) -> tuple[_Resolved, Mapping[str, float]]:
+    """The interior resolved with colliders that end at seams, and the shares of them that were cut away, by instance: only where objects
+    are deep in each other, else wherever they are, and if that does not help, what is stuck is put anywhere."""
+    points, supports = _scanned(instances, context.blobs), config.supports
+    tries: list[tuple[_Resolved, Seams]] = []
+    for deepest in (SEAM_M, DEEP_M):
+        seams = cut_at_seams(interior, points, walls_of(interior), lambda some: poses_at_rest(some, supports), deepest)
+        stored = dataclasses.replace(seams, interior=with_stored_colliders(seams.interior, seams.shares, blobs))
+        tries.append((_resolved(stored.interior, config, context), stored))
+        if not _stuck(tries[-1][0]):
+            break
+    resolved, seams = min(tries, key=lambda each: _stuck_depth(each[0]))
+    if names := {name for pair in _stuck(resolved) for name in (pair.a, pair.b)}:
+        resolved = min(resolved, _resolved(seams.interior, config, context, names), key=_stuck_depth)
+    return resolved, seams.shares
 
 
 def _stuck_depth(resolved: _Resolved) -> float:

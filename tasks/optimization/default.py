@@ -24,7 +24,7 @@ from tasks.optimization.solids import ConvexParts, shell_solids
 from tasks.optimization.support.balance import draw_back
 from tasks.optimization.support.boundary import outside_share, way_in
 from tasks.optimization.support.relocation import last_resort, moves_of, vertices_of
-from tasks.optimization.support.resting import DEEP_M, beside, is_held, let_down, put_to_rest, shift
+from tasks.optimization.support.resting import DEEP_M, beside, is_held, let_down, onto_cloths, put_to_rest, shift
 from tasks.optimization.support.supports import PlacedAsset, SupportConfig, support_map
 from tasks.optimization.support.walls import wall_faces, wall_snap
 from tasks.settings import Config, Count, NonNegative, Positive, Share
@@ -73,7 +73,7 @@ class Default(Config):
     rise_share: Share = 0.15  # of the other moves of a carried object go up or down: a pillow climbs onto the one beside it
     most_rise_m: NonNegative = 0.1  # higher, and it stands on something else
     most_aside_m: NonNegative = 0.4  # along its wall: the width of a picture
-    most_way_m: NonNegative = 0.3  # farther only goes what is still stuck after it was made smaller, and it is named
+    most_way_m: NonNegative = 0.15  # farther, and it is another room; only what is stuck otherwise goes so far, and it is named
     most_turn_radians: NonNegative = 0.35  # 20 degrees: more, and the object faces elsewhere than the scanned one
     most_tilt_radians: NonNegative = 0.45  # 26 degrees: what would tip farther was not meant to stand so
     nudge_m_s: NonNegative = 0.05  # what such a push would throw over is laid down; certificates nudge by as much; 0: it is left to balance
@@ -172,6 +172,7 @@ def _laid_out(interior: Interior, supports: SupportConfig, wedged: Collection[in
     steps: list[tuple[int, Move, str]] = []
     steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand, supports, most_m)]
     steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in put_to_rest(interior, shapes, stand)]
+    steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in onto_cloths(interior, shapes, stand)]
     drawn = draw_back(interior, shapes, stand)
     steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), "pulled_in") for i, way in drawn]
     return _Laid(interior, solids, shapes, stand, drawn, tuple(noted), steps)

@@ -46,6 +46,9 @@ BLEED_M = 0.02
 LEAST_LEFT = 0.5
 """Of the volume of a collider: one that would lose more is another object's."""
 
+MOST_ROUNDS = 3
+"""How often colliders are cut: what is cut comes to rest elsewhere."""
+
 MOST_PIECES = 128
 """Pieces of a collider; engines slow down with each."""
 
@@ -62,48 +65,65 @@ class Seams:
 
 
 def cut_at_seams(
-    interior: Interior, points: Mapping[str, Array], walls: Sequence[ConvexParts], at_rest: Callable[[Interior], Array]
-) -> Seams:
-    """The interior with colliders cut back at carriers, walls and neighbors.
+    interior: Interior, points: Mapping[str, Array], walls: Sequence[ConvexParts], at_rest: Callable[[Interior], Array],
+    deepest: float = SEAM_M,
+) -> Seams:  # fmt: skip
+    """The interior with colliders cut back at carriers, walls and neighbors that they are deeper in than `deepest` [m].
 
     points: scanned points of instances in the world frame [m], shape (n, 3) each. walls: the room's, as thick as they keep objects in,
     world frame. at_rest: poses of an interior's objects at rest on their carriers, shape (n, 4, 4) [m].
     """
     whole = [_volume(solid.hulls) for solid in interior.solids]
     interior = _ended_at_carriers(interior)
-    poses = at_rest(interior)
+    for _ in range(MOST_ROUNDS):
+        made = _cut_once(interior, points, walls, at_rest(interior), whole, deepest)
+        if made is None:
+            break
+        interior = made
+    shares = {
+        name: max(0.0, 1.0 - _volume(solid.hulls) / max(before, 1e-12))
+        for name, solid, before in zip(interior.names, interior.solids, whole, strict=True)
+        if solid.properties is None
+    }
+    return Seams(interior, shares)
+
+
+def _cut_once(
+    interior: Interior, points: Mapping[str, Array], walls: Sequence[ConvexParts], poses: Array, whole: Sequence[float],
+    deepest: float,
+) -> Interior | None:  # fmt: skip
+    """The interior with colliders cut that are deeper in each other than `deepest` [m] at some poses, shape (n, 4, 4) [m]; None where none
+    is. whole: volumes of colliders before anything was cut [m3]."""
     bodies = [list(solid.placed(pose)) for solid, pose in zip(interior.solids, poses, strict=True)]
-    scanned = [_thinned(points.get(name, np.zeros((0, 3)))) + (pose - proposed)[:3, 3] for name, pose, proposed in zip(
-        interior.names, poses, interior.poses, strict=True)]  # fmt: skip
+    moved = (poses - interior.poses)[:, :3, 3]
+    scanned = [_thinned(points.get(name, np.zeros((0, 3)))) + way for name, way in zip(interior.names, moved, strict=True)]
     fixed_parts = [list(wall.hulls) for wall in walls]
-    meeting = [p for p in Colliders(interior.solids, walls).penetrations(poses) if p.depth_m > SEAM_M and _may_cut(interior, p)]
+    meeting = [p for p in Colliders(interior.solids, walls).penetrations(poses) if p.depth_m > deepest and _may_cut(interior, p)]
     cut: set[int] = set()
     for pair in sorted(meeting, key=lambda p: (-p.depth_m, p.index_a, p.index_b)):
         a, b = pair.index_a, pair.index_b
-        keeps, larger = scanned[b] if b < len(bodies) else None, _is_larger(whole, a, b)
-        others = bodies[b] if b < len(bodies) else fixed_parts[b - len(bodies)]
+        is_wall = b >= len(bodies)
+        larger = _is_larger(whole, a, b)
         one_side: tuple[Way, ...] = ("first", "second") if larger else ("second", "first")
-        for way in ("points", *one_side, "both") if b < len(bodies) else ("first",):
-            first, second = _parted(bodies[a], others, scanned[a], keeps, way, larger)
-            sides = [(a, first), *([(b, second)] if b < len(bodies) else [])]
-            if all(_is_good(interior, poses, i, bodies[i], made, whole[i]) for i, made in sides):
+        for way in ("first",) if is_wall else ("points", *one_side, "both"):
+            first, second = _parted(bodies[a], fixed_parts[b - len(bodies)] if is_wall else bodies[b], scanned[a],
+                                    None if is_wall else scanned[b], way, larger)  # fmt: skip
+            if is_wall:
+                sides = [(a, _same(bodies[a], _within(first, interior.ring)))]
+            else:
+                sides = [(a, first), (b, second)]
+            if all(_is_good(interior, i, bodies[i], made, whole[i]) for i, made in sides):
+                cut |= {i for i, made in sides if made is not bodies[i]}
                 for i, made in sides:
-                    if made is not bodies[i]:
-                        bodies[i] = made
-                        cut.add(i)
+                    bodies[i] = made
                 break
+    if not cut:
+        return None
     solids = list(interior.solids)
     for i in cut:
         back = inverse(poses[i])
-        hulls = tuple(hull.transformed(back) for hull in bodies[i])
-        solids[i] = ConvexParts(solids[i].name, hulls, None, solids[i].shares)
-    changed = dataclasses.replace(interior, solids=tuple(solids))
-    shares = {
-        name: max(0.0, 1.0 - _volume(solid.hulls) / max(before, 1e-12))
-        for name, solid, before in zip(changed.names, changed.solids, whole, strict=True)
-        if solid.properties is None
-    }
-    return Seams(changed, shares)
+        solids[i] = ConvexParts(solids[i].name, tuple(hull.transformed(back) for hull in bodies[i]), None, solids[i].shares)
+    return dataclasses.replace(interior, solids=tuple(solids))
 
 
 def with_stored_colliders(interior: Interior, cut: Collection[str], blobs: Blobs) -> Interior:
@@ -159,6 +179,17 @@ def _may_cut(interior: Interior, pair: Penetration) -> bool:
 def _is_larger(volumes: Sequence[float], a: int, b: int) -> bool:
     """Whether a is the larger one of two bodies; a wall is larger than anything."""
     return b < len(volumes) and (volumes[a], a) > (volumes[b], b)
+
+
+def _within(pieces: list[Hull], ring: Array | None) -> list[Hull]:
+    """Pieces whose middle lies within the outline of the floor, shape (m, 2) [m]: what is left of others is behind a wall."""
+    import shapely
+
+    if ring is None:
+        return pieces
+    middles = np.array([piece.vertices[:, :2].mean(axis=0) for piece in pieces]).reshape(-1, 2)
+    inside = shapely.contains_xy(shapely.Polygon(ring), middles)
+    return [piece for piece, is_inside in zip(pieces, inside, strict=True) if is_inside]
 
 
 Way = Literal["points", "first", "second", "both"]
@@ -240,7 +271,7 @@ def _count(points: Array, piece: Hull, other: Hull) -> int:
     return int(((near @ normals.T) <= offsets + BLEED_M).all(axis=1).sum())
 
 
-def _is_good(interior: Interior, poses: Array, i: int, before: list[Hull], after: list[Hull], whole: float) -> bool:
+def _is_good(interior: Interior, i: int, before: list[Hull], after: list[Hull], whole: float) -> bool:
     """Whether an object may have a collider that was cut: most of it is left, and what stood by itself still does."""
     if after is before:
         return True

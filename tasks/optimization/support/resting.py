@@ -124,6 +124,23 @@ def put_to_rest(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[
     return lifts
 
 
+def onto_cloths(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[int, float]]:
+    """Raise what stands on the floor, or on furniture, and reaches onto a rug or cloth. Returns (object, dz [m])."""
+    lifts, groups = [], interior.groups()
+    cloths = np.zeros(len(stand.low), dtype=np.bool_)
+    cloths[: len(interior.objects)] = interior.covering
+    for i, carrier in enumerate(interior.carriers):
+        if carrier.relation not in ("floor", "on", "inside") or interior.covering[i] or is_held(interior, i):
+            continue
+        lower = cloths.copy()
+        lower[groups[i]] = False
+        dz = -float(compiled()["cloth_gap"](shapes, stand, i, lower, COVERING_M))
+        if ROUNDING_M < dz < COVERING_M:
+            shift(shapes, stand, groups[i], (0.0, 0.0, dz))
+            lifts.append((i, dz))
+    return lifts
+
+
 def is_held(interior: Interior, obj: int) -> bool:
     """Whether an object is a worktop that its wall holds: what is built in below may be in it, and does not raise it."""
     parent, carrier = int(interior.parent[obj]), interior.carriers[obj]

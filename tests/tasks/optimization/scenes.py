@@ -19,7 +19,7 @@ from schemas.optimization import Certificate, Contact, Optimization, Optimizatio
 from schemas.record import check
 from schemas.selection import Selection
 from tasks.geometry.meshes import dump_glb, load_glb, surface_of
-from tasks.geometry.pieces import Hull, PieceConfig, pieces
+from tasks.geometry.pieces import Hull, PieceConfig, pieces, read_pieces
 from tasks.geometry.transforms import flat, matrix, translation, yaw_pose
 from tasks.optimization import STAGE, Default, OptimizationConfig, Paper, Released, run
 from tasks.stage import Blobs, Context, Outcome, in_turn
@@ -177,6 +177,34 @@ def bounds(outcome: Outcome, scene: Scene, phase: str = "optimized") -> dict[str
         surface = surface_of(load_glb(scene.blobs[scene.assets[row.asset_id].mesh_blob]))
         boxes[row.instance_id] = surface.transformed(poses[row.instance_id], row.scale).bounds
     return boxes
+
+
+def colliders(outcome: Outcome, scene: Scene) -> dict[str, list[Hull]]:
+    """Convex pieces where they stand in the end, from the blobs that rows name alone, or as the stage makes them of an asset."""
+    made, poses = {}, poses_of(outcome)
+    for row in outcome.rows["placements"]:
+        if row.collider_blob is not None:
+            hulls = read_pieces(outcome.blobs[row.collider_blob], row.collider_blob)
+        else:
+            asset = scene.assets[row.asset_id]
+            known = load_glb(scene.blobs[asset.pieces_blob]) if asset.pieces_blob else None
+            whole = pieces(load_glb(scene.blobs[asset.mesh_blob]), known, PieceConfig()).hulls
+            hulls = tuple(hull.transformed(np.eye(4), row.scale) for hull in whole)
+        made[row.instance_id] = [hull.transformed(poses[row.instance_id]) for hull in hulls]
+    return made
+
+
+def collider_bounds(outcome: Outcome, scene: Scene) -> dict[str, np.ndarray]:
+    """World boxes of colliders where they stand in the end, shape (2, 3) [m]."""
+    points = {name: np.concatenate([hull.vertices for hull in hulls]) for name, hulls in colliders(outcome, scene).items()}
+    return {name: np.array([each.min(axis=0), each.max(axis=0)]) for name, each in points.items()}
+
+
+def are_apart(outcome: Outcome, scene: Scene, *names: str) -> bool:
+    """Whether no convex piece of one of some objects is in a piece of another by as much as engines mind."""
+    every = colliders(outcome, scene)
+    pairs = [(a, b) for k, first in enumerate(names) for other in names[k + 1 :] for a in every[first] for b in every[other]]
+    return all(penetration_depth(a.vertices, b.vertices) < DEEP_M for a, b in pairs)
 
 
 def penetration_depth(a: np.ndarray, b: np.ndarray) -> float:

@@ -28,6 +28,7 @@ from tests.tasks.optimization.scenes import (
     Scene,
     block,
     bounds,
+    collider_bounds,
     crowded_scene,
     hulls_of,
     penetration_depth,
@@ -97,10 +98,12 @@ def test_what_floats_comes_down_onto_what_carries_it(method: Released | Default,
     scene.add(block(0.4, 0.4, 0.4), translation([1.3, 1.0, -height]), "box")
     outcome = scene.run(method)
     boxes = bounds(outcome, scene)
-    for name, floor in (("0000", 0.0), ("0001", 0.75), ("0002", 0.75), ("0003", 0.0), ("0004", 0.0)):
-        assert boxes[name][0, 2] == pytest.approx(floor, abs=2e-4), name
+    stays = isinstance(method, Default) and height > 0.03  # what sank so deep stays, and ends at the floor
+    for name, level in (("0000", 0.0), ("0001", 0.75), ("0002", 0.75), ("0003", 0.0), ("0004", -height if stays else 0.0)):
+        assert boxes[name][0, 2] == pytest.approx(level, abs=2e-4), name
+    assert collider_bounds(outcome, scene)["0004"][0, 2] == pytest.approx(0.0, abs=2e-4)
     gaps = {row.instance_id: row.gap_m for row in outcome.rows["supports"]}
-    assert [gaps[name] for name in sorted(gaps)] == pytest.approx([height, 0.0, height, height, -height], abs=1e-6)
+    assert [gaps[name] for name in sorted(gaps)] == pytest.approx([height, 0.0, height, height, 0.0 if stays else -height], abs=1e-6)
     assert all(row.displacement_m == 0.0 for row in outcome.rows["placements"])
     assert all(row.is_stable_1cm for row in outcome.rows["certificates"])
 
@@ -113,10 +116,9 @@ def test_a_chair_under_a_table_stays_under_it() -> None:
     outcome = scene.run()
     boxes = bounds(outcome, scene)
     (summary,) = outcome.rows["optimizations"]
-    assert summary.loss_start > 0.0
     assert summary.loss_final == 0.0
     for row in outcome.rows["placements"]:
-        assert row.displacement_m < 0.1
+        assert row.displacement_m < 0.02
         assert row.remains is None
     for name in ("0001", "0002"):
         under = np.minimum(boxes[name][1], boxes["0000"][1]) - np.maximum(boxes[name][0], boxes["0000"][0])
@@ -124,23 +126,25 @@ def test_a_chair_under_a_table_stays_under_it() -> None:
         assert {r.instance_id: r.relation for r in outcome.rows["supports"]}[name] == "floor"
 
 
-def test_what_was_scanned_through_a_wall_is_pulled_in_with_all_it_carries() -> None:
+def test_what_reaches_through_a_wall_ends_there_and_what_lies_outside_is_pulled_in_with_all_it_carries() -> None:
     scene = Scene()
-    scene.add(TABLE, yaw_pose(0.3, [1.7, 0.0, 0.0]), "table")
-    scene.add(block(0.1, 0.1, 0.1), yaw_pose(1.0, [1.5, 0.1, 0.77]), "mug")
+    scene.add(block(1.2, 0.8, 0.7), yaw_pose(0.3, [1.7, 0.0, 0.0]), "chest")
     scene.add(block(0.5, 0.5, 0.9), translation([-0.5, -2.4, 0.0]), "cabinet")
+    scene.add(block(0.1, 0.1, 0.1), translation([-0.5, -2.3, 0.9]), "mug")
+    scene.add(block(0.4, 0.4, 0.4), translation([-1.0, 1.83, 0.0]), "box")
     outcome = scene.run()
-    boxes, before, after = bounds(outcome, scene), poses_of(outcome, "proposed"), poses_of(outcome)
-    for name, box in boxes.items():
+    ends, before, after = collider_bounds(outcome, scene), poses_of(outcome, "proposed"), poses_of(outcome)
+    for name, box in ends.items():
         assert (box[:, :2] > -2.0 - 1e-6).all(), name
         assert (box[:, :2] < 2.0 + 1e-6).all(), name
     ways = {name: after[name][:3, 3] - before[name][:3, 3] for name in after}
     first = bounds(outcome, scene, "proposed")
-    assert ways["0000"][:2] == pytest.approx([2.0 - first["0000"][1, 0], 0.0], abs=1e-6), "the shortest way in"
-    assert ways["0002"][:2] == pytest.approx([0.0, -2.0 - first["0002"][0, 1]], abs=1e-6)
-    assert ways["0001"][:2] == pytest.approx(ways["0000"][:2], abs=1e-9), "the mug came along"
+    assert np.hypot(*ways["0000"][:2]) < 0.02, "half of it is in the room: it stays, and ends at the wall"
+    assert ways["0001"][:2] == pytest.approx([0.0, -2.0 - first["0001"][0, 1]], abs=1e-6), "most of it lay outside"
+    assert ways["0002"][:2] == pytest.approx(ways["0001"][:2], abs=1e-9), "the mug came along"
+    assert ways["0003"][:2] == pytest.approx([0.0, 2.0 - first["0003"][1, 1]], abs=1e-6), "nobody sees three centimeters"
     assert all(row.remains is None for row in outcome.rows["placements"])
-    assert {s.instance_id for s in outcome.rows["optimization_steps"] if s.outcome == "pulled_in"} == {"0000", "0002"}
+    assert {s.instance_id for s in outcome.rows["optimization_steps"] if s.outcome == "pulled_in"} == {"0001", "0003"}
 
 
 @pytest.mark.parametrize("off", [-0.05, 0.04], ids=["before", "in"])

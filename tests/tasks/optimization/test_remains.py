@@ -18,9 +18,11 @@ from tests.tasks.optimization.scenes import (
     SOFA,
     TABLE,
     Scene,
+    are_apart,
     block,
     bounds,
     box,
+    collider_bounds,
     optimized,
     poses_of,
     remains,
@@ -72,8 +74,8 @@ def test_what_is_built_in_stays_where_it_is_and_others_give_way() -> None:
     outcome, summary = optimized(scene, Default())
     after, before = poses_of(outcome), poses_of(outcome, "proposed")
     assert np.array_equal(after[toilet], before[toilet])
-    assert after[sofa][0, 3] - before[sofa][0, 3] == pytest.approx(0.05, abs=0.02), "beside the toilet, and no farther"
-    assert summary.ended == "zero_loss"
+    assert np.abs(after[sofa] - before[sofa]).max() < 0.01
+    assert collider_bounds(outcome, scene)[sofa][0, 0] >= 0.55 - 1e-4, "it ends beside the toilet"
     assert summary.deep_pairs == 0
 
 
@@ -89,7 +91,8 @@ def test_what_was_pushed_into_another_object_stands_beside_it() -> None:
     assert f"{can}: it stands beside {pedestal}, on {table}" in outcome.degradations
     assert summary.deep_pairs == 0
     moved = {name: np.linalg.norm((poses_of(outcome)[name] - poses_of(outcome, "proposed")[name])[:2, 3]) for name in (can, pedestal)}
-    assert sum(moved.values()) == pytest.approx(0.055, abs=0.02), "as far as they overlapped"
+    assert max(moved.values()) < 0.01
+    assert are_apart(outcome, scene, can, pedestal)
 
 
 @METHODS
@@ -257,7 +260,7 @@ def test_a_room_that_crosses_itself_or_has_no_area_is_said(method: Released | De
     (text,) = summary.remains
     assert "floor_polygon" in text
     assert text in outcome.degradations
-    assert (summary.ended, summary.loss_final) == ("zero_loss", 0.0)
+    assert (summary.deep_pairs, summary.loss_final) == (0, 0.0)
 
 
 def test_what_is_far_outside_comes_in() -> None:

@@ -226,7 +226,7 @@ def test_a_move_of_the_last_resort_is_told_and_can_be_replayed() -> None:
     """Chains that are given two moves leave two boxes in each other."""
     scene = Scene()
     large = scene.add([block((0.9, 0.9, 0.5))], np.eye(4), "cabinet")
-    small = scene.add([block((0.5, 0.5, 0.5))], yaw_pose(0.3, [0.1, 0.2, 0.0]), "box")
+    small = scene.add([block((0.72, 0.72, 0.5))], yaw_pose(0.1, [0.0, 0.01, 0.0]), "box")
     on_it = scene.add([block((0.1, 0.1, 0.1))], translation([0.1, 0.2, 0.5]), "mug")
     outcome = scene.run(Default(max_moves=2, chains=1, most_way_m=10.0))
     (summary,) = outcome.rows["optimizations"]
