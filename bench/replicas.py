@@ -50,7 +50,8 @@ def as_drawn(scene: BenchScene) -> tuple[dict[str, list[Any]], Mapping[str, byte
             scene_id=row.scene_id, instance_id=row.instance_id, asset_id=row.asset_id, origin="selection", annotator=None,
             annotation_match=None, scale=row.scale, proposed_pose=row.pose, optimized_pose=flat((scene.drawn_poses or {})[row.instance_id]),
             displacement_m=0.0, lift_m=0.0, method="default", settled_pose=None, remains=None,
-            collider_pieces=None, collider_faces=None, collider_early_share=None, collider_miss_share=None, collider_blob=None, collider_cut_share=None,
+            collider_pieces=None, collider_faces=None, collider_early_share=None, collider_miss_share=None,
+            collider_blob=None, collider_cut_share=None,
         )
         for row in scene.rows["selections"]
     ]  # fmt: skip

@@ -90,6 +90,10 @@ class Support:
         "Fastened to the room: it hangs on a wall or ceiling, is built in, or is a fitted kitchen's; all else is free to move"
     )
     is_kept: bool = column("The same object still carries it after the optimization")
+    is_inferred: bool = column(
+        "The scan does not show what it stands on: a thin board, plate or feet below it are in colliders alone (placements.collider_blob)",
+        earlier=False,
+    )
 
 
 @record("contacts", key=("scene_id", "phase", "instance_a", "body_b"), stage="optimization")

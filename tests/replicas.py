@@ -122,13 +122,14 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
                 scene_id=scene_id, instance_id=instance_id, asset_id=asset_id, origin="selection", annotator=None, annotation_match=None,
                 scale=item.scale, proposed_pose=pose, optimized_pose=pose, displacement_m=0.0, lift_m=0.0, method="default",
                 settled_pose=None, remains=None,
-                collider_pieces=None, collider_faces=None, collider_early_share=None, collider_miss_share=None, collider_blob=None, collider_cut_share=None,
+                collider_pieces=None, collider_faces=None, collider_early_share=None, collider_miss_share=None,
+                collider_blob=None, collider_cut_share=None,
             )
         )  # fmt: skip
         rows["supports"].append(
             Support(
                 scene_id=scene_id, instance_id=instance_id, relation=item.relation, parent_id=item.parent_id, against=None, gap_m=0.0,
-                is_fixed=item.relation in ("wall", "ceiling"), is_kept=True,
+                is_fixed=item.relation in ("wall", "ceiling"), is_kept=True, is_inferred=False,
             )
         )  # fmt: skip
     rows["assets"] = [assets[key] for key in sorted(assets)]

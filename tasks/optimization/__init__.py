@@ -19,7 +19,7 @@ from tasks.geometry.meshes import read_points
 from tasks.geometry.pieces import PieceConfig
 from tasks.optimization import default, paper, released
 from tasks.optimization.bodies import BodyConfig, bodies_of
-from tasks.optimization.certificates import CertificateConfig, certificate_rows, certify
+from tasks.optimization.certificates import CertificateConfig, Certified, certificate_rows, certify
 from tasks.optimization.clearance import keep_clear
 from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.coverings import cut_at_walls
@@ -34,9 +34,11 @@ from tasks.optimization.parting import part_slight
 from tasks.optimization.proposals import propose
 from tasks.optimization.released import Released
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
-from tasks.optimization.seams import SEAM_M, Seams, cut_at_seams, with_stored_colliders
+from tasks.optimization.seams import CLEAR_M, SEAM_M, Seams, cut_at_seams, with_stored_colliders
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
 from tasks.optimization.search.trace import Move, Resolution, moved_poses, replayed_poses, step_rows, with_falls, with_shifts
+from tasks.optimization.shoring import with_plates
+from tasks.optimization.solids import RigidBody
 from tasks.optimization.support.resting import DEEP_M, lost_supports
 from tasks.optimization.support.supports import SupportConfig
 from tasks.settings import ByKind, Config, NonNegative
@@ -82,8 +84,9 @@ def run(
     proposals, notes = propose(instances, selections, annotations, known)
     room = shells[0] if shells else None
     cut_proposed(proposals, known, context.blobs, config.pieces, context.caches, context.spread)
-    placed = (known, context.blobs, room, config.supports, config.pieces, context.caches)
-    deepest = config.misfit_m if isinstance(config.method, Default) else np.inf  # the other methods move what they were given
+    is_default = isinstance(config.method, Default)
+    placed = (known, context.blobs, room, config.supports, config.pieces, context.caches, is_default)
+    deepest = config.misfit_m if is_default else np.inf  # the other methods move what they were given
     notable: dict[str, tuple[str, str]] = {}
     blobs = Blobs()
     usable = list(selections)
@@ -107,6 +110,8 @@ def run(
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
     certified, allowed = certify(bodies, poses, interior.shell, config.certificate, context.spread), allowed_depths(interior, before)
+    if isinstance(config.method, Default):
+        interior, bodies, certified = _shored(interior, poses, bodies, certified, config, context, blobs)
     if isinstance(config.method, Default) and config.method.lets_fall:
         fall = let_fall(interior, poses, certified, bodies, allowed, config.method, config.supports, config.certificate, context.spread)
         poses, certified = fall.poses, fall.certified
@@ -169,6 +174,27 @@ def _beside_each_other(
     if names := {name for pair in _stuck(resolved) for name in (pair.a, pair.b)}:
         resolved = min(resolved, _resolved(seams.interior, config, context, names), key=_stuck_depth)
     return resolved, seams.shares
+
+
+def _shored(
+    interior: Interior, poses: NDArray[np.float64], bodies: list[RigidBody], certified: list[Certified], config: OptimizationConfig,
+    context: Context, blobs: Blobs,
+) -> tuple[Interior, list[RigidBody], list[Certified]]:  # fmt: skip
+    """The interior at `poses`, shape (n, 4, 4) [m], its bodies and certificates: where that keeps more objects, those that do not stay on
+    plates."""
+    restless = {row.name for row in certified if not (row.is_stable_1cm and row.is_stable_5cm)}
+    standing = [carrier.relation in ("floor", "on", "inside") for carrier in interior.carriers]
+    wanted = [i for i, name in enumerate(interior.names) if name in restless and standing[i] and not interior.fixed[i]]
+    shored = with_plates(interior.solids, poses, interior.parent.tolist(), wanted, CLEAR_M)
+    if not shored.plated:
+        return interior, bodies, certified
+    carriers = tuple(dataclasses.replace(c, is_inferred=True) if i in shored.plated else c for i, c in enumerate(interior.carriers))
+    changed = dataclasses.replace(interior, solids=shored.solids, carriers=carriers)
+    changed = with_stored_colliders(changed, [solid.name for solid in changed.solids if solid.properties is None], blobs)
+    heavier = [dataclasses.replace(body, solid=solid) for body, solid in zip(bodies, changed.solids, strict=True)]
+    anew = certify(heavier, poses, interior.shell, config.certificate, context.spread)
+    still = {row.name for row in anew if not (row.is_stable_1cm and row.is_stable_5cm)}
+    return (changed, heavier, anew) if len(still) < len(restless) else (interior, bodies, certified)
 
 
 def _stuck_depth(resolved: _Resolved) -> float:

@@ -13,8 +13,9 @@ from schemas.capture import Shell
 from schemas.errors import InputError
 from tasks.geometry.meshes import asset_surface, load_glb
 from tasks.geometry.pieces import PieceConfig, Uncut, asset_pieces, cut_ahead
-from tasks.geometry.transforms import is_rigid
+from tasks.geometry.transforms import inverse, is_rigid
 from tasks.optimization.proposals import Proposal
+from tasks.optimization.shoring import board, board_bearers
 from tasks.optimization.solids import ConvexParts, shell_solids
 from tasks.optimization.support.supports import Carrier, PlacedAsset, SupportConfig, find_carriers, is_covering
 from tasks.shell import floor_ring
@@ -64,9 +65,12 @@ class Interior:
 
 def furnish(
     proposals: Sequence[Proposal], assets: Mapping[str, Asset], blobs: Mapping[str, bytes], room: Shell | None,
-    supports: SupportConfig, pieces: PieceConfig, caches: Caches,
+    supports: SupportConfig, pieces: PieceConfig, caches: Caches, infers_boards: bool = False,
 ) -> tuple[Interior, list[str]]:  # fmt: skip
-    """The proposed assets in their room, and what had to be left out of it, a line each."""
+    """The proposed assets in their room, and what had to be left out of it, a line each.
+
+    infers_boards: what nothing carries within a piece of furniture gets a board there, in the collider of that.
+    """
     notes: list[str] = []
     placed: list[tuple[PlacedAsset, Proposal, ConvexParts]] = []
     for proposal in proposals:
@@ -87,6 +91,8 @@ def furnish(
             notes.append(f"nothing keeps the assets inside the room: {error}")
             room = None
     carriers = find_carriers([obj for obj, _, _ in placed], room, supports)
+    if infers_boards:
+        placed, carriers = _with_boards(placed, carriers)
     order = _carriers_first([obj.instance_id for obj, _, _ in placed], carriers)
     kept = [placed[i] for i in order]
     index = {obj.instance_id: i for i, (obj, _, _) in enumerate(kept)}
@@ -139,6 +145,20 @@ def _placed(
     hulls = tuple(hull.transformed(np.eye(4), proposal.scale) for hull in made.hulls)
     obj = PlacedAsset.of(instance.instance_id, instance.category, surface, asset.is_watertight)
     return obj, proposal, ConvexParts(instance.instance_id, hulls, made.properties.scaled(proposal.scale), made.shares)
+
+
+def _with_boards(
+    placed: Sequence[tuple[PlacedAsset, Proposal, ConvexParts]], carriers: Mapping[str, Carrier]
+) -> tuple[list[tuple[PlacedAsset, Proposal, ConvexParts]], dict[str, Carrier]]:
+    """Placed assets and what carries them, with boards that furniture must have."""
+    made, known = list(placed), dict(carriers)
+    index = {obj.instance_id: i for i, (obj, _, _) in enumerate(placed)}
+    for name, bearer in board_bearers([obj for obj, _, _ in placed], carriers).items():
+        obj, proposal, solid = made[index[bearer]]
+        shelf = board(placed[index[name]][0], obj).transformed(inverse(proposal.pose))
+        made[index[bearer]] = obj, proposal, dataclasses.replace(solid, hulls=(*solid.hulls, shelf), properties=None)
+        known[name] = Carrier("inside", bearer, 0.0, known[bearer].lift, known[name].against, is_inferred=True)
+    return made, known
 
 
 def _carriers_first(names: Sequence[str], carriers: Mapping[str, Carrier]) -> list[int]:

@@ -81,6 +81,7 @@ def support_rows(scene_id: str, interior: Interior, lost: Collection[str]) -> li
             gap_m=carrier.gap + 0.0,
             is_fixed=fixed,
             is_kept=name not in lost,
+            is_inferred=carrier.is_inferred,
         )
         for name, carrier, fixed in zip(interior.names, interior.carriers, interior.fixed.tolist(), strict=True)
     ]

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.geometry.cutting import beyond, shared_by, without
+from tasks.geometry.cutting import beyond, shared_by, solid_hull, without
 from tasks.geometry.hulls import Hull
 from tasks.geometry.pieces import dump_pieces, read_pieces
 from tasks.geometry.transforms import inverse
@@ -30,6 +30,12 @@ Array = NDArray[np.float64]
 
 SUNK_M = 0.03
 """What sank less deep into its carrier [m] is lifted out of it: nobody sees so short a way."""
+
+LOWERED_M = 0.05
+"""What hangs less high above its carrier [m] is let down onto it; what hangs higher, as far as it counts as carried, has lost its feet."""
+
+BASE_M = 0.02
+"""What of an object lies within this of its lowest point [m] is its base."""
 
 SEAM_M = 0.02
 """Objects that are less deep in each other [m] are moved apart: nobody sees so short a way, and their colliders stay simple."""
@@ -74,7 +80,7 @@ def cut_at_seams(
     world frame. at_rest: poses of an interior's objects at rest on their carriers, shape (n, 4, 4) [m].
     """
     whole = [_volume(solid.hulls) for solid in interior.solids]
-    interior = _ended_at_carriers(interior)
+    interior = _reaching_carriers(interior)
     for _ in range(MOST_ROUNDS):
         made = _cut_once(interior, points, walls, at_rest(interior), whole, deepest)
         if made is None:
@@ -106,12 +112,9 @@ def _cut_once(
         larger = _is_larger(whole, a, b)
         one_side: tuple[Way, ...] = ("first", "second") if larger else ("second", "first")
         for way in ("first",) if is_wall else ("points", *one_side, "both"):
-            first, second = _parted(bodies[a], fixed_parts[b - len(bodies)] if is_wall else bodies[b], scanned[a],
-                                    None if is_wall else scanned[b], way, larger)  # fmt: skip
-            if is_wall:
-                sides = [(a, _same(bodies[a], _within(first, interior.ring)))]
-            else:
-                sides = [(a, first), (b, second)]
+            others, theirs = (fixed_parts[b - len(bodies)], None) if is_wall else (bodies[b], scanned[b])
+            first, second = _parted(bodies[a], others, scanned[a], theirs, way, larger)
+            sides = [(a, _same(bodies[a], _within(first, interior.ring)))] if is_wall else [(a, first), (b, second)]
             if all(_is_good(interior, i, bodies[i], made, whole[i]) for i, made in sides):
                 cut |= {i for i, made in sides if made is not bodies[i]}
                 for i, made in sides:
@@ -137,30 +140,52 @@ def with_stored_colliders(interior: Interior, cut: Collection[str], blobs: Blobs
     return dataclasses.replace(interior, solids=tuple(solids))
 
 
-def _ended_at_carriers(interior: Interior) -> Interior:
-    """What sank into its carrier by more than `SUNK_M` ends at the top of that, collider and surface, and is lifted no more."""
+def _reaching_carriers(interior: Interior) -> Interior:
+    """What sank into its carrier by more than `SUNK_M` ends at the top of that, and what hangs more than `LOWERED_M` above it has feet
+    down to it: collider and surface, so that neither is lifted or lowered."""
     solids, objects, carriers = list(interior.solids), list(interior.objects), list(interior.carriers)
     own = [c.lift - (carriers[p].lift if p >= 0 else 0.0) for c, p in zip(carriers, interior.parent.tolist(), strict=True)]
     for i, carrier in enumerate(interior.carriers):
-        parent = int(interior.parent[i])
-        if carrier.relation in ("floor", "on", "inside") and carrier.gap < -SUNK_M and not interior.covering[i] and not interior.fixed[i]:
+        parent, gap = int(interior.parent[i]), carrier.gap
+        is_standing = carrier.relation in ("floor", "on", "inside") and not interior.covering[i] and not interior.fixed[i]
+        if is_standing and (gap < -SUNK_M or gap > LOWERED_M):
             obj, pose = objects[i], interior.poses[i]
-            level = float(obj.low[2]) - carrier.gap
-            up = pose[:3, :3].T @ np.array([0.0, 0.0, 1.0])
-            kept = [part for hull in solids[i].hulls if (part := beyond(hull, up, level - float(pose[2, 3])))]
+            level = float(obj.low[2]) - gap
+            make = _cut_at if gap < 0.0 else _on_feet
+            kept = make(solids[i], pose, level)
             made = ConvexParts(solids[i].name, tuple(kept), None, solids[i].shares)
             if kept and _volume(kept) >= LEAST_LEFT * _volume(solids[i].hulls) and _still_stands(solids[i], made, pose):
                 solids[i], own[i] = made, 0.0
                 objects[i] = _ended(obj, level)
-                carriers[i] = dataclasses.replace(carrier, gap=0.0)
+                carriers[i] = dataclasses.replace(carrier, gap=0.0, is_inferred=carrier.is_inferred or gap > 0.0)
         carriers[i] = dataclasses.replace(carriers[i], lift=own[i] + (carriers[parent].lift if parent >= 0 else 0.0))
     return dataclasses.replace(interior, solids=tuple(solids), objects=tuple(objects), carriers=tuple(carriers))
 
 
+def _cut_at(solid: ConvexParts, pose: Array, level: float) -> list[Hull]:
+    """What of a solid's pieces, in its own frame, lies above a height of the world [m]."""
+    up = pose[2, :3]
+    return [part for hull in solid.hulls if (part := beyond(hull, up, level - float(pose[2, 3])))]
+
+
+def _on_feet(solid: ConvexParts, pose: Array, level: float) -> list[Hull]:
+    """A solid's pieces, in its own frame, and below those at its base others that reach down to a height of the world [m]."""
+    placed = solid.placed(pose)
+    low = min(float(hull.vertices[:, 2].min()) for hull in placed)
+    feet = []
+    for hull in placed:
+        base = hull.vertices[hull.vertices[:, 2] <= low + BASE_M]
+        foot = solid_hull(np.concatenate([base, np.column_stack([base[:, :2], np.full(len(base), level)])])) if len(base) else None
+        if foot is not None:
+            feet.append(foot.transformed(inverse(pose)))
+    return [*solid.hulls, *feet] if feet else []
+
+
 def _ended(obj: PlacedAsset, level: float) -> PlacedAsset:
-    """A placed asset whose surface ends at a height [m]."""
+    """A placed asset whose surface ends at a height [m], its base drawn down to that where it lies above it."""
     vertices = obj.surface.vertices.copy()
-    vertices[:, 2] = np.maximum(vertices[:, 2], level)
+    heights = vertices[:, 2]
+    vertices[:, 2] = np.where(heights <= obj.low[2] + BASE_M, level, np.maximum(heights, level))
     surface = dataclasses.replace(obj.surface, vertices=vertices)
     return dataclasses.replace(obj, surface=surface, low=np.array([obj.low[0], obj.low[1], level]))
 
