@@ -72,6 +72,12 @@ class Placement:
         minimum=0,
         maximum=1,
     )
+    fidelity_loss: float | None = column(
+        "How much less the F-score at 5 cm of the asset and the object's scanned points is than where selection, or a person, put it; "
+        "missing where the object has no points",
+        minimum=0,
+        maximum=1,
+    )
 
 
 @record("supports", key=("scene_id", "instance_id"), stage="optimization")

@@ -103,3 +103,8 @@ def inner_points(hull: Hull) -> Array:
     middle = hull.vertices.mean(axis=0)
     between = 0.5 * (hull.vertices[hull.faces].mean(axis=1)[:, None] + hull.vertices[None])
     return np.concatenate([grid, between.reshape(-1, 3), 0.9 * hull.vertices + 0.1 * middle])
+
+
+def prism(ring: Array, low: float, high: float) -> Hull | None:
+    """An upright prism over the convex hull of corners in plan, shape (n, 2) [m]; None where it is thinner than `LEAST_M`."""
+    return solid_hull(np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in (low, high)]))

@@ -17,17 +17,19 @@ from schemas.optimization import APPLIED, OptimizationStep
 from schemas.selection import Selection
 from tasks.geometry.meshes import read_points
 from tasks.geometry.pieces import PieceConfig
+from tasks.mounting import LEANS
 from tasks.optimization import default, paper, released
 from tasks.optimization.bodies import BodyConfig, bodies_of
 from tasks.optimization.certificates import CertificateConfig, Certified, certificate_rows, certify
 from tasks.optimization.clearance import keep_clear
 from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.coverings import cut_at_walls
-from tasks.optimization.default import Default, poses_at_rest, walls_of
+from tasks.optimization.default import Default, poses_at_rest, tipping_at_rest, walls_of
 from tasks.optimization.falling import let_fall
 from tasks.optimization.footing import NOTE as FOOTING_NOTE
 from tasks.optimization.footing import on_their_feet
 from tasks.optimization.interior import Interior, cut_proposed, furnish
+from tasks.optimization.losses import MOST_LOSS, fidelity_losses
 from tasks.optimization.misfits import fit_together
 from tasks.optimization.paper import Paper
 from tasks.optimization.parting import part_slight
@@ -82,6 +84,7 @@ def run(
     """
     known = {asset.asset_id: asset for asset in assets}
     proposals, notes = propose(instances, selections, annotations, known)
+    proposed, points = proposals, _scanned(instances, context.blobs)
     room = shells[0] if shells else None
     cut_proposed(proposals, known, context.blobs, config.pieces, context.caches, context.spread)
     is_default = isinstance(config.method, Default)
@@ -105,7 +108,7 @@ def run(
     notes += fitting.left_out
     resolved, cut_shares = _resolved(interior, config, context), {}
     if isinstance(config.method, Default):
-        resolved, cut_shares = _beside_each_other(interior, instances, config, context, blobs)
+        resolved, cut_shares = _beside_each_other(interior, points, config, context, blobs)
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
@@ -113,7 +116,7 @@ def run(
     if isinstance(config.method, Default):
         interior, bodies, certified = _shored(interior, poses, bodies, certified, config, context, blobs)
     if isinstance(config.method, Default) and config.method.lets_fall:
-        fall = let_fall(interior, poses, certified, bodies, allowed, config.method, config.supports, config.certificate, context.spread)
+        fall = let_fall(interior, poses, certified, bodies, allowed, config.method, config.certificate, context.spread)
         poses, certified = fall.poses, fall.certified
         if fall.moves:
             after = Colliders(interior.solids, interior.shell).penetrations(poses)
@@ -122,6 +125,7 @@ def run(
             steps = step_rows(scene_id, resolution.start, resolution.steps)
     final = {p.instance.instance_id: p.asset_id for p in interior.proposals}
     changed = [f"{name}: {text}" for name, (asset_id, text) in notable.items() if final.get(name) == asset_id]
+    losses = fidelity_losses(points, proposed, interior.proposals, poses, known, context.blobs, context.caches)
     lost = lost_supports(interior, poses)
     remains = remains_of(interior, poses, after, resolution, lost, allowed, certified)
     contacts = contact_rows(scene_id, interior, interior.poses, before, "proposed", allowed)
@@ -129,8 +133,9 @@ def run(
     undone = [*notes, *resolution.notes]
     notes = [*undone, *fitting.notes, *changed, *unknown, *resolution.noted, *set_down(interior, config.supports)]
     notes += [f"{name}: {text}" for name, text in remains.items()]
+    notes += [f"{name}: it covers its scan less well by {loss:.2f} of its F-score" for name, loss in losses.items() if loss > MOST_LOSS]
     return Outcome(
-        placements=placement_rows(scene_id, interior, poses, certified, word, remains, cut_shares),
+        placements=placement_rows(scene_id, interior, poses, certified, word, remains, cut_shares, losses),
         supports=support_rows(scene_id, interior, lost),
         contacts=contacts,
         optimization_steps=steps,
@@ -158,15 +163,20 @@ def _scanned(instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> dict[
 
 
 def _beside_each_other(
-    interior: Interior, instances: Sequence[Instance], config: OptimizationConfig, context: Context, blobs: Blobs
+    interior: Interior,
+    points: Mapping[str, NDArray[np.float64]],
+    config: OptimizationConfig,
+    context: Context,
+    blobs: Blobs,
 ) -> tuple[_Resolved, Mapping[str, float]]:
     """The interior resolved with colliders that end at seams, and the shares of them that were cut away, by instance: only where objects
     are deep in each other, else wherever they are, and if that does not help, what is stuck is put anywhere."""
-    points, supports = _scanned(instances, context.blobs), config.supports
+    supports = config.supports
     tries: list[tuple[_Resolved, Seams]] = []
     for deepest in (SEAM_M, DEEP_M):
         seams = cut_at_seams(interior, points, walls_of(interior), lambda some: poses_at_rest(some, supports), deepest)
-        stored = dataclasses.replace(seams, interior=with_stored_colliders(seams.interior, seams.shares, blobs))
+        steady = _steadied(seams.interior, config.method, supports)
+        stored = dataclasses.replace(seams, interior=with_stored_colliders(steady, blobs))
         tries.append((_resolved(stored.interior, config, context), stored))
         if not _stuck(tries[-1][0]):
             break
@@ -174,6 +184,14 @@ def _beside_each_other(
     if names := {name for pair in _stuck(resolved) for name in (pair.a, pair.b)}:
         resolved = min(resolved, _resolved(seams.interior, config, context, names), key=_stuck_depth)
     return resolved, seams.shares
+
+
+def _steadied(interior: Interior, method: Default, supports: SupportConfig) -> Interior:
+    """The interior with plates under what would tip where it comes to rest, but for what may lean."""
+    wanted = [
+        i for i in tipping_at_rest(interior, method, supports) if interior.objects[i].category not in LEANS and not interior.fixed[i]
+    ]  # fmt: skip
+    return with_plates(interior, poses_at_rest(interior, supports), wanted, CLEAR_M)[0] if wanted else interior
 
 
 def _shored(
@@ -185,12 +203,10 @@ def _shored(
     restless = {row.name for row in certified if not (row.is_stable_1cm and row.is_stable_5cm)}
     standing = [carrier.relation in ("floor", "on", "inside") for carrier in interior.carriers]
     wanted = [i for i, name in enumerate(interior.names) if name in restless and standing[i] and not interior.fixed[i]]
-    shored = with_plates(interior.solids, poses, interior.parent.tolist(), wanted, CLEAR_M)
-    if not shored.plated:
+    changed, plated = with_plates(interior, poses, wanted, CLEAR_M)
+    if not plated:
         return interior, bodies, certified
-    carriers = tuple(dataclasses.replace(c, is_inferred=True) if i in shored.plated else c for i, c in enumerate(interior.carriers))
-    changed = dataclasses.replace(interior, solids=shored.solids, carriers=carriers)
-    changed = with_stored_colliders(changed, [solid.name for solid in changed.solids if solid.properties is None], blobs)
+    changed = with_stored_colliders(changed, blobs)
     heavier = [dataclasses.replace(body, solid=solid) for body, solid in zip(bodies, changed.solids, strict=True)]
     anew = certify(heavier, poses, interior.shell, config.certificate, context.spread)
     still = {row.name for row in anew if not (row.is_stable_1cm and row.is_stable_5cm)}

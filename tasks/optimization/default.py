@@ -44,6 +44,9 @@ OUTSIDE_SHARE = 0.02
 PULLED_M = 0.05
 """What reaches farther through a wall [m] is not pulled in, but ends at the wall: nobody moves a bookshelf because of an outline."""
 
+LEAN_RADIANS = 0.1
+"""What tips by more, 6 degrees, does not stand as it was scanned."""
+
 MOSTLY_OUTSIDE = 0.5
 """Of an object's plan: what lies farther outside than this is pulled in all the same."""
 
@@ -189,6 +192,16 @@ def poses_at_rest(interior: Interior, supports: SupportConfig) -> NDArray[np.flo
     poses = interior.poses.copy()
     poses[:, :3, 3] = _laid_out(interior, supports, most_m=PULLED_M).stand.place[: len(poses)]
     return poses
+
+
+def tipping_at_rest(interior: Interior, method: Default, supports: SupportConfig) -> list[int]:
+    """Objects, by number, that would not stay as they are where they come to rest: they would topple, be laid down, or tip by more than
+    `LEAN_RADIANS`."""
+    laid = _laid_out(interior, supports)
+    settling = let_down(laid.interior, laid.shapes, laid.stand, method.most_tilt_radians, method.nudge_m_s, rounds=1)
+    turned = {i for i, _, rotation in settling.moves if float(rotation[2, 2]) < math.cos(LEAN_RADIANS)}
+    names = {laid.interior.names[i] for i in turned | set(settling.toppling)}
+    return [i for i, name in enumerate(interior.names) if name in names]
 
 
 def _wedged(interior: Interior, shapes: Shapes, stand: Stand) -> list[int]:

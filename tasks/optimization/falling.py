@@ -17,7 +17,6 @@ from tasks.optimization.parting import APART_M
 from tasks.optimization.search.trace import Move, moved_poses
 from tasks.optimization.solids import ConvexParts, RigidBody
 from tasks.optimization.support.resting import MOST_LAID_M, lost_supports
-from tasks.optimization.support.supports import SupportConfig
 from tasks.stage import Spread, in_turn
 
 Array = NDArray[np.float64]
@@ -50,13 +49,13 @@ class Fall:
 
 def let_fall(
     interior: Interior, poses: Array, certified: list[Certified], bodies: Sequence[RigidBody],
-    allowed: Mapping[tuple[str, str], float], method: Default, supports: SupportConfig, config: CertificateConfig,
+    allowed: Mapping[tuple[str, str], float], method: Default, config: CertificateConfig,
     spread: Spread = in_turn,
 ) -> Fall:  # fmt: skip
     """Objects that carry nothing and that MuJoCo sees move from `poses` [m], shape (n, 4, 4), put where they come to rest, and certified
     anew.
 
-    What falls farther than `method.most_way_m` aside or `supports.most_drop_m` down from where it was scanned, off its carrier, or
+    What falls farther than `method.most_way_m` aside or down from where it was scanned, off its carrier, or
     over although it is too high to be laid down, keeps its place, and so does what does not stay where it comes to rest. Nothing else
     is moved, and nobody falls at the cost of what stood before. allowed: depths [m] to which pairs may be in each other, by their names.
 
@@ -66,7 +65,7 @@ def let_fall(
     start = Fall(poses, (), certified)
     best, tried = start, start
     for _ in range(MOST_ROUNDS):
-        falling = _falling(interior, tried, allowed, method, supports)
+        falling = _falling(interior, tried, allowed, method)
         if not falling:
             break
         tried = _certified_after(interior, start, [*tried.moves, *falling], tried.concerned, bodies, config, spread)
@@ -160,9 +159,7 @@ def _linked(beside: Booleans, seeds: Collection[int]) -> set[int]:
     return linked
 
 
-def _falling(
-    interior: Interior, state: Fall, allowed: Mapping[tuple[str, str], float], method: Default, supports: SupportConfig
-) -> list[tuple[str, Move]]:
+def _falling(interior: Interior, state: Fall, allowed: Mapping[tuple[str, str], float], method: Default) -> list[tuple[str, Move]]:
     """Moves of what may fall to where MuJoCo saw it end, set as exported scenes are or else as it comes, one each."""
     colliders, before = Colliders(interior.solids, interior.shell), state.poses
     carrying, lost = set(interior.parent.tolist()), lost_supports(interior, before)
@@ -173,7 +170,7 @@ def _falling(
     poses = before.copy()
     for i, name in enumerate(interior.names):
         is_free = i not in carrying and not interior.fixed[i] and not interior.covering[i]
-        if name in ends and is_free and _is_near(interior, i, before[i], ends[name], method, supports):
+        if name in ends and is_free and _is_near(interior, i, before[i], ends[name], method):
             poses[i] = ends[name]
             falling.append(i)
     while True:
@@ -190,10 +187,10 @@ def _falling(
     return moves
 
 
-def _is_near(interior: Interior, obj: int, before: Array, after: Array, method: Default, supports: SupportConfig) -> bool:
+def _is_near(interior: Interior, obj: int, before: Array, after: Array, method: Default) -> bool:
     """Whether a person would still say that an object is where it was scanned, `before` and `after` its fall, 4x4 [m]."""
     way = after[:3, 3] - interior.poses[obj][:3, 3]
-    if float(np.hypot(way[0], way[1])) > method.most_way_m or abs(float(way[2])) > supports.most_drop_m:
+    if float(np.hypot(way[0], way[1])) > method.most_way_m or abs(float(way[2])) > method.most_way_m:
         return False
     tilt = float(np.arctan2(np.linalg.norm(np.cross(before[:3, 2], after[:3, 2])), before[:3, 2] @ after[:3, 2]))
     height = float(np.ptp(np.concatenate([hull.vertices[:, 2] for hull in interior.solids[obj].placed(before)])))

@@ -17,14 +17,15 @@ from schemas.selection import Selection
 from tasks.geometry.transforms import matrix
 from tasks.mounting import LEANS, mounting
 from tasks.optimization.interior import Interior
+from tasks.optimization.misfits import AS_WELL
 from tasks.optimization.proposals import Proposal
 from tasks.optimization.shapes import shapes_of, stand_of
 from tasks.optimization.solids import ConvexParts, mass_properties_of
 from tasks.optimization.support.resting import shift
 from tasks.optimization.support.tipping import tip
 
-LEAST_SCORE = 0.7
-"""Of the score of what was selected: what fits so much worse is another object, however well it stands."""
+LEAST_SCORE = 0.9
+"""Of the score of what was selected: what fits worse is another object, however well it stands."""
 
 MOST_LEAN_RADIANS = 0.15
 """An asset that stands only when it leans by more, 9 degrees, was not meant to stand so."""
@@ -71,9 +72,9 @@ def _better(
 ) -> tuple[Proposal | None, frozenset[str]]:
     """The best candidate that stands, None where there is none of a like score, and the assets of better ones, which do not."""
     worse = {proposal.asset_id}
-    score = next(row.score for row in rows if row.asset_id == proposal.asset_id)
+    now = next(row for row in rows if row.asset_id == proposal.asset_id)
     for row in rows:
-        if row.asset_id == proposal.asset_id or row.score < LEAST_SCORE * score:
+        if row.asset_id == proposal.asset_id or row.score < LEAST_SCORE * now.score or row.coverage < now.coverage - AS_WELL:
             continue
         other = dataclasses.replace(proposal, asset_id=row.asset_id, pose=matrix(row.pose), scale=np.array(row.scale))
         interior, _ = furnish((other,))

@@ -15,8 +15,8 @@ from tasks.geometry.meshes import asset_surface, load_glb
 from tasks.geometry.pieces import PieceConfig, Uncut, asset_pieces, cut_ahead
 from tasks.geometry.transforms import inverse, is_rigid
 from tasks.optimization.proposals import Proposal
-from tasks.optimization.shoring import board, board_bearers
 from tasks.optimization.solids import ConvexParts, shell_solids
+from tasks.optimization.support.boards import board, board_bearers
 from tasks.optimization.support.supports import Carrier, PlacedAsset, SupportConfig, find_carriers, is_covering
 from tasks.shell import floor_ring
 from tasks.stage import Caches, Spread
@@ -155,8 +155,11 @@ def _with_boards(
     index = {obj.instance_id: i for i, (obj, _, _) in enumerate(placed)}
     for name, bearer in board_bearers([obj for obj, _, _ in placed], carriers).items():
         obj, proposal, solid = made[index[bearer]]
-        shelf = board(placed[index[name]][0], obj).transformed(inverse(proposal.pose))
-        made[index[bearer]] = obj, proposal, dataclasses.replace(solid, hulls=(*solid.hulls, shelf), properties=None)
+        shelf = board(placed[index[name]][0], obj)
+        if shelf is None:
+            continue
+        hulls = (*solid.hulls, shelf.transformed(inverse(proposal.pose)))
+        made[index[bearer]] = obj, proposal, dataclasses.replace(solid, hulls=hulls, properties=None)
         known[name] = Carrier("inside", bearer, 0.0, known[bearer].lift, known[name].against, is_inferred=True)
     return made, known
 

@@ -8,7 +8,7 @@ sank into its carrier ends at that carrier's top.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -129,11 +129,11 @@ def _cut_once(
     return dataclasses.replace(interior, solids=tuple(solids))
 
 
-def with_stored_colliders(interior: Interior, cut: Collection[str], blobs: Blobs) -> Interior:
-    """The interior with the colliders of instances in `cut` as they are read back from the blobs that are kept of them."""
+def with_stored_colliders(interior: Interior, blobs: Blobs) -> Interior:
+    """The interior with the colliders that were changed as they are read back from the blobs that are kept of them."""
     solids = []
     for solid in interior.solids:
-        if solid.name in cut:
+        if solid.properties is None:
             name = blobs.add(dump_pieces(solid.hulls), "glb")
             solid = dataclasses.replace(solid, hulls=read_pieces(blobs[name], name), blob=name)
         solids.append(solid)

@@ -134,7 +134,7 @@ def test_what_fell_meets_nothing_that_went_back(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(falling, "certify", certify_so)
     bodies, _ = bodies_of(interior, [], BodyConfig())
-    made = let_fall(interior, before.poses, before.certified, bodies, {}, Default(), SupportConfig(), CertificateConfig())
+    made = let_fall(interior, before.poses, before.certified, bodies, {}, Default(), CertificateConfig())
     assert len(asked) == 1, "it is not asked for nothing"
     assert made.moves == ()
     assert made.poses.tobytes() == before.poses.tobytes()
@@ -192,7 +192,7 @@ def test_what_is_restless_in_the_whole_room_goes_back(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(falling, "certify", certify_so)
     bodies, _ = bodies_of(interior, [], BodyConfig())
-    made = let_fall(interior, before.poses, before.certified, bodies, {}, Default(), SupportConfig(), CertificateConfig())
+    made = let_fall(interior, before.poses, before.certified, bodies, {}, Default(), CertificateConfig())
     assert {name for name, _ in made.moves} == {"0002"}
     assert len(wholes) == 2
     assert made.certified is wholes[-1]
@@ -204,7 +204,7 @@ def test_what_is_fixed_is_certified_where_things_fell(monkeypatch: pytest.Monkey
     bodies, _ = bodies_of(interior, [], BodyConfig())
     fixed = [dataclasses.replace(body, is_fixed=body.solid.name == "0000") for body in bodies]
     certified = certify(fixed, before.poses, interior.shell, CertificateConfig())
-    made = let_fall(interior, before.poses, certified, fixed, {}, Default(), SupportConfig(), CertificateConfig())
+    made = let_fall(interior, before.poses, certified, fixed, {}, Default(), CertificateConfig())
     assert {name for name, _ in made.moves} == {"0001"} == {name for name, _ in after.moves}
     whole = certify(fixed, made.poses, interior.shell, CertificateConfig())
     assert [repr(row) for row in made.certified] == [repr(row) for row in whole]
@@ -228,7 +228,7 @@ def test_what_is_hit_is_certified_with_its_neighbors(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(falling, "certify", certify_so)
     bodies, _ = bodies_of(interior, [], BodyConfig())
-    let_fall(interior, before.poses, before.certified, bodies, {}, Default(), SupportConfig(), CertificateConfig())
+    let_fall(interior, before.poses, before.certified, bodies, {}, Default(), CertificateConfig())
     assert [interior.names[i] for i in asked[0]] == ["0002", "0003", "0004"]
     assert [interior.names[i] for i in asked[1]] == ["0004"]
 
@@ -276,7 +276,7 @@ def test_only_what_mujoco_sees_move_falls() -> None:
         for row in before.certified
     ]
     bodies, _ = bodies_of(interior, [], BodyConfig())
-    made = let_fall(interior, before.poses, stands, bodies, {}, Default(), SupportConfig(), CertificateConfig())
+    made = let_fall(interior, before.poses, stands, bodies, {}, Default(), CertificateConfig())
     assert made.moves == ()
 
 
