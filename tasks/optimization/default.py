@@ -41,6 +41,9 @@ MAP_REACH = 30
 OUTSIDE_SHARE = 0.02
 """An object of which less lies outside of the floor, seen from above, only touches a wall that was estimated."""
 
+HUNG_M = 0.05
+"""What hangs farther off its wall, or in it [m], hangs where it was scanned: the wall is less sure than its points."""
+
 PULLED_M = 0.05
 """What reaches farther through a wall [m] is not pulled in, but ends at the wall: nobody moves a bookshelf because of an outline."""
 
@@ -283,6 +286,8 @@ def _brought_in(
         outcome, way = "", None
         if carrier.relation == "wall":
             outcome, way = "hung", wall_snap(obj, interior.room, carrier, supports.wall_m)
+            if way is not None and math.hypot(*way) > HUNG_M:
+                way = None
         elif interior.parent[i] < 0 and carrier.relation != "ceiling" and not interior.fixed[i]:
             ring = plan_ring(vertices_of(shapes, stand, i)[:, :2])
             share = outside_share(ring, interior.ring)
