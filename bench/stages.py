@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import resource
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -16,11 +17,13 @@ from warehouse.lake import Lake
 
 @dataclasses.dataclass(frozen=True)
 class StagedScan:
-    """What came of a scan. seconds: By stage. stage, error: What failed, and why; empty and None where nothing did."""
+    """What came of a scan. seconds: By stage. cpu_seconds: By stage, of this process and of
+    those that it waited for. stage, error: What failed, and why; empty and None where nothing did."""
 
     seconds: dict[str, float]
     stage: str = ""
     error: str | None = None
+    cpu_seconds: dict[str, float] = dataclasses.field(default_factory=dict)
 
 
 def run_stages(
@@ -35,13 +38,21 @@ def run_stages(
     scan_list, unusable = find_scans(scans, dataset=dataset)
     plan = make_plan(lake, scan_list, unusable, configuration, retry_failed=True)
     seconds: dict[str, float] = {}
+    cpu: dict[str, float] = {}
     if plan.unusable:
         return StagedScan(seconds, "capture", str(plan.unusable[0]))
     if not scan_list:
         return StagedScan(seconds, "capture", "no scan was found")
     for planned, step in ((scene, step) for scene in plan.todo for step in scene.todo if step.stage in stages):
+        before = cpu_clock()
         run = execute(dataclasses.replace(job_of(lake, planned, step, configuration), processes=cores))
-        seconds[step.stage] = run.seconds
+        seconds[step.stage], cpu[step.stage] = run.seconds, cpu_clock() - before
         if run.outcome != "done":
-            return StagedScan(seconds, step.stage, run.error or run.outcome)
-    return StagedScan(seconds)
+            return StagedScan(seconds, step.stage, run.error or run.outcome, cpu)
+    return StagedScan(seconds, cpu_seconds=cpu)
+
+
+def cpu_clock() -> float:
+    """CPU time of this process and of its children that have ended [s]."""
+    usages = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)

@@ -24,7 +24,7 @@ from tasks.furniture.dwellings.shells import shell
 from tasks.furniture.furnishing import GAP_M, Furnishing
 from tasks.furniture.halves import Half, TemplateWithheld
 from tasks.furniture.rooms import FurnishedRoom, place_step, small_size
-from tasks.furniture.wild.bodies import dish_rack, draped_sofa, guitar, piano, screen, wall_shelf
+from tasks.furniture.wild.bodies import dish_rack, draped_sofa, glass_shelf, guitar, leaning, loose_cushion, piano, screen, wall_shelf
 from tasks.furniture.wild.foreign import AT_WALLS, MAX_FLOOR_M, ON_TOPS, ForeignFile, foreign_files, foreign_model
 from tasks.furniture.wild.plans import halls, shelved_wall, wild_plan
 from tasks.furniture.wild.sheets import SizedModel, curtain, heap
@@ -37,6 +37,15 @@ CLUTTER: tuple[str, ...] = (
     "camera", "sculpture", "tray", "towel", "wine glass", "pot", "pan", "shoe", "keyboard", "laptop", "basket",
 )  # fmt: skip
 """What lies on every surface, as far as the withheld half has it."""
+
+SHELVED: tuple[str, ...] = ("vase", "book stack", "speaker", "stuffed animal", "sculpture", "plant", "plate", "box")
+"""What stands on glass shelves: large enough for a scan to show it."""
+
+SMALL_M: dict[str, Extents] = {
+    "book stack": (0.18, 0.3, 0.24), "speaker": (0.18, 0.16, 0.26), "plant": (0.2, 0.2, 0.3), "box": (0.18, 0.26, 0.16),
+    "stuffed animal": (0.18, 0.22, 0.28), "sculpture": (0.16, 0.18, 0.3), "vase": (0.16, 0.16, 0.3),
+}  # fmt: skip
+"""Extents of what stands on glass shelves [m]."""
 
 ABOUT: tuple[str, ...] = ("backpack", "bag", "shoe", "ball", "suitcase", "storage bin", "basket", "stool", "trash can", "ottoman", "fan")
 """What stands about on the floor."""
@@ -128,6 +137,7 @@ def wild_room(seed: int | tuple[int, ...], foreign: Sequence[ForeignFile] = ()) 
     _rug(furnisher)
     _curtains(furnisher, plan)
     _foreign(furnisher, foreign)
+    _glass(furnisher, plan)
     for category in (WALLED[int(k)] for k in rng.permutation(len(WALLED))[:4]):
         if is_drawn(category):
             furnisher.against_wall(category)
@@ -186,7 +196,25 @@ def _sofa(furnisher: WildFurnisher) -> None:
         size: Extents = (float(rng.uniform(0.75, 1.0)), min(y1 - y0 - 0.1, float(rng.uniform(0.6, 0.85))), float(rng.uniform(0.36, 0.44)))
         local = yaw_pose(0.0, [x0 + float(rng.uniform(0.06, 0.12)) + 0.5 * size[0], 0.5 * (y0 + y1), 0.0])
         furnisher.on_floor_at("coffee table", size, sofa.pose @ local)
+        _cushions(furnisher, sofa)
         return
+
+
+def _cushions(furnisher: WildFurnisher, sofa: Furnishing) -> None:
+    """Loose cushions that lean on a sofa's backs."""
+    rng = furnisher.rng
+    x, y = (0.5 * side for side in sofa.extents[:2])
+    spots = [(-x, float(at), 0.0) for at in rng.uniform(-y + 0.7, y - 0.7, 3)]
+    spots += [(float(at), side * y, -0.5 * np.pi * side) for side in (-1, 1) for at in rng.uniform(-x + 1.2, x - 0.6, 1)]
+    for at_x, at_y, turn in spots:
+        sized = loose_cushion(rng)
+        out = 0.22 + 0.5 * sized.extents[0]
+        local = yaw_pose(turn, [at_x + out * np.cos(turn), at_y + out * np.sin(turn), 0.0])
+        reach = np.abs(local[:2, :2]) @ np.array(sized.extents[:2])
+        level = furnisher._rest(sofa, (float(local[0, 3]), float(local[1, 3])), 0.8 * reach, 0.4 * sofa.extents[2], 0.5)
+        if level is not None:
+            local[2, 3] = level
+            furnisher.within(sofa, "cushion", sized, local)
 
 
 def _heap(furnisher: WildFurnisher) -> None:
@@ -204,7 +232,33 @@ def _music(furnisher: WildFurnisher) -> None:
     if placed is not None:
         size: Extents = (0.34, 0.62, 0.48)
         furnisher.on_floor_at("bench", size, placed.pose @ yaw_pose(0.0, [0.5 * placed.extents[0] + 0.1, 0.0, 0.0]), tucked=placed)
-    furnisher.along_walls("guitar", guitar(rng, float(rng.uniform(*LEAN))), gap=0.001)
+    for _ in range(int(rng.integers(1, 3))):
+        furnisher.along_walls("guitar", guitar(rng, float(rng.uniform(*LEAN))), gap=0.001)
+    for _ in range(int(rng.integers(3, 6))):
+        category, sized = leaning(rng, float(rng.uniform(*LEAN)))
+        furnisher.along_walls(category, sized, gap=0.001)
+
+
+def _glass(furnisher: WildFurnisher, plan: FloorPlan) -> None:
+    """Glass shelves at walls, with things on them that seem to hang in the air."""
+    rng = furnisher.rng
+    for _ in range(2):
+        for _ in range(30):
+            number = int(rng.integers(len(furnisher.walls)))
+            wall, width = furnisher.walls[number], float(rng.uniform(0.8, 1.2))
+            if wall.length < width + 0.2:
+                continue
+            at = float(rng.uniform(0.5 * width + 0.05, wall.length - 0.5 * width - 0.05))
+            sized = glass_shelf(rng, width)
+            pose = furnisher.at_wall(number, at, sized.extents[0], float(rng.uniform(1.15, 1.5)), 0.001)
+            shelf = furnisher.modelled("shelf", sized.model, sized.extents, pose, "wall", True)
+            if shelf is None:
+                continue
+            for _ in range(4):
+                kinds = [category for category in SHELVED if is_drawn(category)]
+                category = kinds[int(rng.integers(len(kinds)))]
+                furnisher.on_top(shelf, category, SMALL_M.get(category))
+            break
 
 
 def _dining(furnisher: WildFurnisher) -> None:
