@@ -123,12 +123,11 @@ def is_drawn(category: str) -> bool:
 
 
 def wild_room(seed: int | tuple[int, ...], foreign: Sequence[ForeignFile] = ()) -> Dwelling:
-    """The wild room of a seed: 36 to 52 objects in one room. foreign: models by others, of which some furnish it."""
+    """The wild room of a seed: 40 to 65 objects in one room. foreign: models by others, of which some furnish it."""
     rng = np.random.default_rng(seed)
     plan = wild_plan(rng)
     furnisher = WildFurnisher(plan.rooms[0], plan.height, rng, "room0_")
     openings: list[TrueOpening] = fill_openings(furnisher, plan, 0)
-    count = int(rng.integers(36, 53))
     _shelf(furnisher, plan)
     _sofa(furnisher)
     _dining(furnisher)
@@ -138,17 +137,17 @@ def wild_room(seed: int | tuple[int, ...], foreign: Sequence[ForeignFile] = ()) 
     _curtains(furnisher, plan)
     _foreign(furnisher, foreign)
     _glass(furnisher, plan)
-    for category in (WALLED[int(k)] for k in rng.permutation(len(WALLED))[:4]):
+    for category in (WALLED[int(k)] for k in rng.permutation(len(WALLED))[:3]):
         if is_drawn(category):
             furnisher.against_wall(category)
     for category in ("picture", "mirror"):
         if is_drawn(category):
             place_step(furnisher, "hang", category, "")
     _rack(furnisher)
-    for category in (ABOUT[int(k)] for k in rng.permutation(len(ABOUT))[:5]):
+    for category in (ABOUT[int(k)] for k in rng.permutation(len(ABOUT))[:4]):
         if is_drawn(category):
             furnisher.on_floor(category)
-    _clutter(furnisher, count)
+    _clutter(furnisher, len(furnisher.objects) + int(rng.integers(8, 15)))
     part_objects(furnisher)
     fitted = frozenset(obj.name for obj in furnisher.objects if obj.name in furnisher.fitted or obj.parent in HUNG or obj.category == "rug")
     structure = [*shell(plan, [], rng), *halls(plan)]

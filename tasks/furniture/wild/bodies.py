@@ -39,9 +39,9 @@ def draped_sofa(rng: np.random.Generator, width: float, reach: float) -> ShapedM
     hx, hy, tall = 0.5 * reach, 0.5 * width, shape.extents[2]
     seat, back = 0.5 * tall, 0.2
     parts, hulls = list(shape.model.parts), list(shape.model.hulls)
-    spots = [(-hx + back + 0.02, float(y), 0.0) for y in rng.uniform(-hy + 0.5, hy - 0.5, int(rng.integers(3, 6)))]
+    spots = [(-hx + back + 0.02, float(y), 0.0) for y in rng.uniform(-hy + 0.5, hy - 0.5, int(rng.integers(1, 4)))]
     for side in (-1, 1):
-        along = rng.uniform(-hx + 0.9, hx - 0.5, int(rng.integers(1, 4)))
+        along = rng.uniform(-hx + 0.9, hx - 0.5, int(rng.integers(0, 3)))
         spots += [(float(x), side * (hy - back - 0.02), -side * 0.5 * np.pi) for x in along]
     for number, (x, y, turn) in enumerate(spots):
         side = float(rng.uniform(0.36, 0.5))
