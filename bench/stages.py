@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import resource
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
+
+import psutil
 
 from flows.run.configuration import configure
 from flows.run.plan import make_plan
@@ -18,7 +20,7 @@ from warehouse.lake import Lake
 @dataclasses.dataclass(frozen=True)
 class StagedScan:
     """What came of a scan. seconds: By stage. cpu_seconds: By stage, of this process and of
-    those that it waited for. stage, error: What failed, and why; empty and None where nothing did."""
+    those that it started. stage, error: What failed, and why; empty and None where nothing did."""
 
     seconds: dict[str, float]
     stage: str = ""
@@ -53,6 +55,12 @@ def run_stages(
 
 
 def cpu_clock() -> float:
-    """CPU time of this process and of its children that have ended [s]."""
-    usages = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
+    """CPU time of this process, of the processes that it started, and of those that have ended [s]."""
+    own = psutil.Process()
+    times = own.cpu_times()
+    total = times.user + times.system + times.children_user + times.children_system
+    for child in own.children(recursive=True):
+        with suppress(psutil.NoSuchProcess):
+            spent = child.cpu_times()
+            total += spent.user + spent.system
+    return float(total)
