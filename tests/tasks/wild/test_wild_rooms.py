@@ -199,7 +199,9 @@ def test_models_by_others_furnish_a_room(tmp_path: Path) -> None:
     assert placed.category == "trash can"
 
 
-@pytest.mark.parametrize(("content", "problem"), [(None, "is not there"), ('{"a": 1}', "must be a list")])
+@pytest.mark.parametrize(
+    ("content", "problem"), [(None, "name a folder of models"), ('{"a": 1}', "must be a list"), ("[", "write the index again")]
+)
 def test_a_folder_without_an_index_is_refused(tmp_path: Path, content: str | None, problem: str) -> None:
     if content is not None:
         (tmp_path / "index.json").write_text(content)
