@@ -145,7 +145,7 @@ def guitar(rng: np.random.Generator, lean: float) -> SizedModel:
     lower = cylinder(0.19, (-0.05, 0.05), 20).turned("y", 0.5 * np.pi).at(0.0, 0.0, 0.19)
     upper = cylinder(0.14, (-0.05, 0.05), 20).turned("y", 0.5 * np.pi).at(0.0, 0.0, 0.38)
     solids: list[tuple[str, tuple[int, int, int], Solid]] = [
-        ("body", wood, lower), ("body", wood, upper),
+        ("body", wood, lower), ("body", wood, upper), ("foot", pick(DARKS, rng), box((0.0, 0.05), (-0.08, 0.08), (-0.02, 0.03))),
         ("rose", pick(DARKS, rng), cylinder(0.05, (0.05, 0.053), 14).turned("y", 0.5 * np.pi).at(0.0, 0.0, 0.34)),
         ("neck", neck, box((0.03, 0.055), (-0.028, 0.028), (0.5, 0.9))),
         ("head", neck, box((0.025, 0.05), (-0.04, 0.04), (0.9, 1.04))),
