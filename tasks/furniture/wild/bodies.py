@@ -44,9 +44,9 @@ def draped_sofa(rng: np.random.Generator, width: float, reach: float) -> ShapedM
         along = rng.uniform(-hx + 0.9, hx - 0.5, int(rng.integers(0, 3)))
         spots += [(float(x), side * (hy - back - 0.02), -side * 0.5 * np.pi) for x in along]
     for number, (x, y, turn) in enumerate(spots):
-        side = float(rng.uniform(0.36, 0.5))
+        length = float(rng.uniform(0.36, 0.5))
         # Cushions lean on the back: their lower edge is on the seat, half a thickness before it.
-        pad = cushion((-0.07, 0.07), (-0.5 * side, 0.5 * side), (0.0, side), 0.06).turned("y", -float(rng.uniform(0.2, 0.5)))
+        pad = cushion((-0.07, 0.07), (-0.5 * length, 0.5 * length), (0.0, length), 0.06).turned("y", -float(rng.uniform(0.2, 0.5)))
         pad = pad.turned("x", float(rng.uniform(-0.2, 0.2))).turned("z", turn + float(rng.uniform(-0.3, 0.3)))
         out = 0.12 * np.array([np.cos(turn), np.sin(turn)])
         pad = pad.at(x + out[0], y + out[1], seat - float(pad.vertices[:, 2].min()) - 0.01)
