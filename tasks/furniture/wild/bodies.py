@@ -30,7 +30,7 @@ class WallShelf:
 
     sized: SizedModel
     openings: tuple[tuple[Span, Span], ...]
-    screen: tuple[Span, Span] | None
+    screen: tuple[Span, Span]
 
 
 def draped_sofa(rng: np.random.Generator, width: float, reach: float) -> ShapedModel:

@@ -12,6 +12,7 @@ from tasks.candidates import CandidatesConfig
 from tasks.candidates.parametric.forms import forms_of
 from tasks.candidates.procedural import Procedural, procedural_asset
 from tasks.candidates.provider import NothingToOffer
+from tasks.candidates.request import CandidateRequest
 from tasks.candidates.slots import SlotConfig
 from tasks.furniture import generate
 from tasks.stage import Context
@@ -20,7 +21,7 @@ from tests.tasks.candidates.test_parametric import request_of, seen_surface
 SIZES = {"chair": (0.5, 0.5, 0.9), "sofa": (0.9, 2.0, 0.8), "table": (0.8, 1.4, 0.74), "cabinet": (0.4, 0.9, 0.9)}
 
 
-def request(category: str, size: tuple[float, float, float]):
+def request(category: str, size: tuple[float, float, float]) -> CandidateRequest:
     x, y, z = size
     points = seen_surface([(-0.5 * x, -0.5 * y, 0.0, 0.5 * x, 0.5 * y, z)], np.random.default_rng(0), count=400)
     return dataclasses.replace(request_of(category, points, size), is_withholding=True)

@@ -13,8 +13,10 @@ import trimesh
 
 from schemas.errors import InputError
 from tasks.furniture import CATEGORIES, generate
+from tasks.furniture.drafting import Extents, FurnitureModel
 from tasks.furniture.dwellings import OVERLAP_M, Dwelling, depths
-from tasks.furniture.halves import TemplateWithheld, variants_in
+from tasks.furniture.halves import Half, TemplateWithheld, variants_in
+from tasks.furniture.palette import Color
 from tasks.furniture.solids import box
 from tasks.furniture.wild import WildFurnisher, wild_room
 from tasks.furniture.wild.bodies import (
@@ -210,7 +212,9 @@ def test_halves_share_the_variants() -> None:
 def test_a_wild_room_draws_from_the_withheld_half_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     halves: list[str] = []
 
-    def recorded(category, extents, rng, color=None, half="all"):
+    def recorded(
+        category: str, extents: Extents | None, rng: np.random.Generator, color: Color | None = None, half: Half = "all"
+    ) -> FurnitureModel:
         halves.append(half)
         return generate(category, extents, rng, color, half)
 

@@ -33,13 +33,13 @@ def scanned(out: Path) -> DwellingTruth:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> tuple[Path, DwellingTruth]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DwellingTruth]:
     out = tmp_path_factory.mktemp("wild")
     return out, scanned(out)
 
 
 @pytest.mark.whole
-def test_the_same_room_gives_the_same_bytes(made, tmp_path: Path) -> None:
+def test_the_same_room_gives_the_same_bytes(made: tuple[Path, DwellingTruth], tmp_path: Path) -> None:
     scanned(tmp_path)
     first, second = (
         {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(out.rglob("*")) if path.is_file()}
@@ -49,7 +49,7 @@ def test_the_same_room_gives_the_same_bytes(made, tmp_path: Path) -> None:
 
 
 @pytest.mark.whole
-def test_the_truth_reads_back_and_older_truths_have_no_bleeds(made) -> None:
+def test_the_truth_reads_back_and_older_truths_have_no_bleeds(made: tuple[Path, DwellingTruth]) -> None:
     out, truth = made
     text = (out / "scene0008_00.truth.json").read_text()
     assert DwellingTruth.from_json(text) == truth
@@ -59,7 +59,7 @@ def test_the_truth_reads_back_and_older_truths_have_no_bleeds(made) -> None:
 
 
 @pytest.mark.whole
-def test_labels_bleed_by_5_to_15_cm_and_instances_hold_their_neighbors(made) -> None:
+def test_labels_bleed_by_5_to_15_cm_and_instances_hold_their_neighbors(made: tuple[Path, DwellingTruth]) -> None:
     _, truth = made
     assert len(truth.bleeds) > 10
     names = {obj.name for obj in truth.objects}
@@ -71,7 +71,7 @@ def test_labels_bleed_by_5_to_15_cm_and_instances_hold_their_neighbors(made) -> 
 
 
 @pytest.mark.whole
-def test_openings_without_doors_are_in_the_truth_and_colors_are_blurred(made) -> None:
+def test_openings_without_doors_are_in_the_truth_and_colors_are_blurred(made: tuple[Path, DwellingTruth]) -> None:
     out, truth = made
     assert any(row.kind == "passage" and row.to == -1 and row.instance is None for row in truth.openings)
     soft = read_ply(out / "scene0008_00" / "scene0008_00_vh_clean_2.ply", "mesh").surface
