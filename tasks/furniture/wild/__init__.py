@@ -19,9 +19,9 @@ from tasks.furniture.drafting import Extents
 from tasks.furniture.dwellings import HUNG, Dwelling, TrueOpening, fill_openings, part_objects
 from tasks.furniture.dwellings.corners import flat_rug
 from tasks.furniture.dwellings.placing import RoomFurnisher
-from tasks.furniture.dwellings.plans import FloorPlan
+from tasks.furniture.dwellings.plans import FloorPlan, Opening
 from tasks.furniture.dwellings.shells import shell
-from tasks.furniture.furnishing import GAP_M, Furnishing
+from tasks.furniture.furnishing import GAP_M, Furnishing, Wall
 from tasks.furniture.halves import Half, TemplateWithheld
 from tasks.furniture.rooms import FurnishedRoom, place_step, small_size
 from tasks.furniture.wild.bodies import dish_rack, draped_sofa, glass_shelf, guitar, leaning, loose_cushion, piano, screen, wall_shelf
@@ -148,6 +148,7 @@ def wild_room(seed: int | tuple[int, ...], foreign: Sequence[ForeignFile] = ()) 
         if is_drawn(category):
             furnisher.on_floor(category)
     _clutter(furnisher, len(furnisher.objects) + int(rng.integers(8, 15)))
+    _clear_windows(furnisher, plan)
     part_objects(furnisher)
     fitted = frozenset(obj.name for obj in furnisher.objects if obj.name in furnisher.fitted or obj.parent in HUNG or obj.category == "rug")
     structure = [*shell(plan, [], rng), *halls(plan)]
@@ -300,6 +301,20 @@ def _curtains(furnisher: WildFurnisher, plan: FloorPlan) -> None:
             at = float(np.clip(end, 0.5 * width + 0.03, wall.length - 0.5 * width - 0.03))
             pose = furnisher.at_wall(opening.wall, at, sized.extents[0], 0.04, 0.012)
             furnisher.modelled("curtain", sized.model, sized.extents, pose, "wall", True)
+
+
+def _clear_windows(furnisher: WildFurnisher, plan: FloorPlan) -> None:
+    """Take down what hangs before a window: it is thinner than the space before a pane that stays clear."""
+    for opening in (o for o in plan.openings_of(0) if o.kind == "window"):
+        wall = furnisher.walls[opening.wall]
+
+        def is_before(obj: Furnishing, wall: Wall = wall, opening: Opening = opening) -> bool:
+            offset = obj.pose[:2, 3] - wall.start
+            reach = 0.5 * (obj.extents[1] + opening.width)
+            is_level = obj.pose[2, 3] < opening.high and obj.pose[2, 3] + obj.extents[2] > opening.low
+            return bool(abs(offset @ wall.along - opening.at) < reach and offset @ wall.inward < 0.2 and is_level)
+
+        furnisher.objects = [obj for obj in furnisher.objects if obj.category not in ("picture", "mirror") or not is_before(obj)]
 
 
 def _foreign(furnisher: WildFurnisher, files: Sequence[ForeignFile]) -> None:

@@ -147,6 +147,17 @@ def test_a_room_has_what_fails_in_real_scans(seed: int) -> None:
     assert {by_category[c].name for c in ("bookshelf", "window")} <= home.fitted
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nothing_hangs_before_a_window(seed: int) -> None:
+    home = made(seed)
+    for opening in (row for row in home.openings if row.opening.kind == "window"):
+        pane = shapely.LineString(opening.corners[:2, :2]).buffer(0.1)
+        low, high = opening.corners[:, 2].min(), opening.corners[:, 2].max()
+        for obj in (obj for obj in home.objects if obj.category in ("picture", "mirror")):
+            box_center = obj.box_pose[:3, 3]
+            assert not (low < box_center[2] < high and pane.contains(shapely.Point(*box_center[:2]))), obj.name
+
+
 @pytest.mark.whole
 def test_what_is_free_holds_still_as_it_was_placed() -> None:
     free, moved = 0, []
