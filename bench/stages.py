@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
+
+import psutil
 
 from flows.run.configuration import configure
 from flows.run.plan import make_plan
@@ -16,11 +19,13 @@ from warehouse.lake import Lake
 
 @dataclasses.dataclass(frozen=True)
 class StagedScan:
-    """What came of a scan. seconds: By stage. stage, error: What failed, and why; empty and None where nothing did."""
+    """What came of a scan. seconds: By stage. cpu_seconds: By stage, of this process and of
+    those that it started. stage, error: What failed, and why; empty and None where nothing did."""
 
     seconds: dict[str, float]
     stage: str = ""
     error: str | None = None
+    cpu_seconds: dict[str, float] = dataclasses.field(default_factory=dict)
 
 
 def run_stages(
@@ -35,13 +40,27 @@ def run_stages(
     scan_list, unusable = find_scans(scans, dataset=dataset)
     plan = make_plan(lake, scan_list, unusable, configuration, retry_failed=True)
     seconds: dict[str, float] = {}
+    cpu: dict[str, float] = {}
     if plan.unusable:
         return StagedScan(seconds, "capture", str(plan.unusable[0]))
     if not scan_list:
         return StagedScan(seconds, "capture", "no scan was found")
     for planned, step in ((scene, step) for scene in plan.todo for step in scene.todo if step.stage in stages):
+        before = cpu_clock()
         run = execute(dataclasses.replace(job_of(lake, planned, step, configuration), processes=cores))
-        seconds[step.stage] = run.seconds
+        seconds[step.stage], cpu[step.stage] = run.seconds, cpu_clock() - before
         if run.outcome != "done":
-            return StagedScan(seconds, step.stage, run.error or run.outcome)
-    return StagedScan(seconds)
+            return StagedScan(seconds, step.stage, run.error or run.outcome, cpu)
+    return StagedScan(seconds, cpu_seconds=cpu)
+
+
+def cpu_clock() -> float:
+    """CPU time of this process, of the processes that it started, and of those that have ended [s]."""
+    own = psutil.Process()
+    times = own.cpu_times()
+    total = times.user + times.system + times.children_user + times.children_system
+    for child in own.children(recursive=True):
+        with suppress(psutil.NoSuchProcess):
+            spent = child.cpu_times()
+            total += spent.user + spent.system
+    return float(total)

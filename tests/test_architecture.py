@@ -28,7 +28,7 @@ ROOMS = {
 }
 PRODUCT = tuple(room for room in ROOMS if room != "bench")
 """What is in the wheel."""
-_BENCHES = ("__init__", "acting", "capturing", "comparing", "drawing", "matching", "modeling")
+_BENCHES = ("__init__", "acting", "capturing", "comparing", "drawing", "furnished", "matching", "modeling")
 DOORS = {(f"flows/commands/bench/{name}.py", "bench") for name in _BENCHES}
 """Modules that import what their room does not, where a command asks for it."""
 WIDEST = 20

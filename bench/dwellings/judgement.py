@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.dwellings.openings import SEEN, silhouettes
+from bench.dwellings.openings import SEEN, open_shares, silhouettes
 from bench.dwellings.replicas import BenchReplica, FirstHits
 from schemas.capture import Room
 from tasks.furniture import canonical_category
@@ -38,23 +38,30 @@ FIGURES: tuple[tuple[str, str, str], ...] = (
     ("annotated_nudged", "of those that the annotation has, after nudges", "percent"),
     ("unseen_objects", "free objects that the scan does not show at all", "count"),
     ("anchored", "free objects that were fixed (without failed rooms)", "count"),
+    ("anchored_share", "share of the annotated free objects that were fixed", "percent"),
     ("left_out", "free objects left out", "count"),
     ("fitted_left_out", "fitted objects left out", "count"),
     ("object_f_5cm", "F-score over objects at 5 cm, mean of rooms", "score"),
+    ("object_completeness_5cm", "completeness of objects at 5 cm, mean of rooms", "score"),
     ("unexplained_share", "surface of objects that no asset explains", "percent"),
     ("deep_pairs", "pairs deeper than 2 mm (without failed rooms)", "count"),
     ("moved_15cm", "objects moved by more than 15 cm from the scan (of a failed room all)", "count"),
     ("moved_30cm", "by more than 30 cm", "count"),
+    ("moved_share", "share of the placed objects that moved by more than 15 cm", "percent"),
     ("off_15cm", "objects more than 15 cm off the truth (of a failed room all)", "count"),
     ("off_30cm", "more than 30 cm", "count"),
     ("openings", "doors and windows to be seen", "count"),
     ("silhouette", "of their silhouette seen, mean", "percent"),
     ("openings_seen", "of them seen to 80 %", "percent"),
+    ("ways", "openings without a door", "count"),
+    ("ways_open", "of them open to 80 %", "percent"),
     ("categories_right", "categories right of the objects placed", "percent"),
     ("true_rooms", "rooms of the dwellings", "count"),
     ("rooms_found", "rooms found", "count"),
     ("rooms_right", "rooms right: floors share 80 % of what they cover", "percent"),
     ("unseen", "surface that the scan lacks", "percent"),
+    ("regions_per_object", "regions per object where labels are left out", "score"),
+    ("optimization_cpu_per_25", "CPU seconds of the optimization per 25 objects", "seconds"),
     ("seconds_per_25", "seconds per 25 objects", "seconds"),
 )
 """Key of a figure, what a person reads, and its unit."""
@@ -69,15 +76,23 @@ SHARES: Mapping[str, str] = {
     "annotated_share": "free", "stable_1cm": "free", "stable_5cm": "free", "stable_nudged": "free", "silhouette": "openings",
     "openings_seen": "openings", "categories_right": "placed", "rooms_right": "true_rooms", "unseen": "rooms", "seconds_per_25": "objects",
     "object_f_5cm": "rooms", "unexplained_share": "rooms",
+    "moved_share": "placed", "object_completeness_5cm": "rooms", "anchored_share": "annotated", "ways_open": "ways",
+    "regions_per_object": "rooms", "optimization_cpu_per_25": "objects",
     "annotated_1cm": "annotated", "annotated_5cm": "annotated", "annotated_nudged": "annotated",
 }  # fmt: skip
 """Figures that are means over rooms, and what each room counts by."""
 
 
 def judged(
-    index: int, has_frames: bool, home: Dwelling, truth: DwellingTruth, replica: BenchReplica, seconds: Mapping[str, float]
+    index: int,
+    has_frames: bool,
+    home: Dwelling,
+    truth: DwellingTruth,
+    replica: BenchReplica,
+    seconds: Mapping[str, float],
+    cpu: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """Figures of a room."""
+    """Figures of a room. seconds, cpu: by stage; regions of the scan without its labels are added by the caller."""
     source = {row.source_id: name for name, row in replica.instances.items()}
     best = standing_for(truth)
     names = {name: source[str(object_id)] for name, (object_id, _) in standing_for(truth, source).items()}
@@ -90,7 +105,9 @@ def judged(
     moved = [math.hypot(row.displacement_m or 0.0, row.lift_m or 0.0) for row in (replica.placements[name] for name in placed.values())]
     stands_for = parts_of(truth, source)
     drawn = FirstHits([(name.partition("|")[0], mesh) for name, mesh in home.furnished.named_parts()])
-    shares = silhouettes(truth, drawn, FirstHits(replica.parts), stands_for, moved_to)
+    hits = FirstHits(replica.parts)
+    shares, ways = silhouettes(truth, drawn, hits, stands_for, moved_to), open_shares(truth, drawn, hits, moved_to)
+    fixed = [name for name in (obj.name for obj in free) if name in placed and replica.supports[placed[name]].is_fixed]
     in_annotation = [verdict for obj, verdict in zip(free, verdicts, strict=True) if obj.name in best]
     right = [is_same(replica.instances[placed[obj.name]].category, obj.category) for obj in truth.objects if obj.name in placed]
     total = pipeline_seconds(seconds)
@@ -113,24 +130,31 @@ def judged(
         "annotated_5cm": mean([v[1] for v in in_annotation]),
         "annotated_nudged": mean([v[2] for v in in_annotation]),
         "unseen_objects": sum(obj.observed < SHOWN for obj in free),
-        "anchored": sum(name in placed and replica.supports[placed[name]].is_fixed for name in (obj.name for obj in free)),
+        "anchored": len(fixed),
+        "anchored_share": len(fixed) / len(in_annotation) if in_annotation else math.nan,
         "left_out": sum(obj.name not in placed for obj in free),
         "fitted_left_out": sum(obj.name not in placed for obj in truth.objects if not obj.is_free),
         "deep_pairs": replica.optimization.deep_pairs if replica.optimization else math.nan,
         "object_f_5cm": (fidelity.object_f_5cm or 0.0) if fidelity else math.nan,
+        "object_completeness_5cm": (fidelity.object_completeness_5cm or 0.0) if fidelity else math.nan,
         "unexplained_share": fidelity.unexplained_share if fidelity and fidelity.unexplained_share is not None else math.nan,
         "moved_15cm": sum(far > FAR_M[0] for far in moved),
         "moved_30cm": sum(far > FAR_M[1] for far in moved),
+        "moved_share": mean([far > FAR_M[0] for far in moved]),
         "off_15cm": sum(far > FAR_M[0] for far in off),
         "off_30cm": sum(far > FAR_M[1] for far in off),
         "openings": len(shares),
         "silhouette": mean(shares),
         "openings_seen": mean([share >= SEEN for share in shares]),
+        "ways": len(ways),
+        "ways_open": mean([share >= SEEN for share in ways]),
         "categories_right": mean(right),
         "true_rooms": len(truth.rooms),
         "rooms_found": len(replica.rooms),
         "rooms_right": mean([share >= RIGHT for share in shared_floors(truth, replica.rooms, moved_to)]),
         "unseen": truth.unseen,
+        "regions_per_object": math.nan,
+        "optimization_cpu_per_25": BATCH * cpu["optimization"] / max(len(truth.objects), 1) if cpu else math.nan,
         "seconds": total,
         "seconds_per_25": BATCH * total / max(len(truth.objects), 1),
         "stages": dict(seconds),
@@ -208,6 +232,7 @@ def lost_room(
     of the other rooms."""
     free = sum(obj.name not in home.fitted for obj in home.objects)
     openings = sum(o.instance is not None for o in home.openings)
+    ways = sum(o.opening.kind == "passage" for o in home.openings)
     total = pipeline_seconds(seconds or {})
     held = len([obj for obj in truth.objects if obj.is_free and obj.name in standing_for(truth)]) if truth else free
     unseen = len([obj for obj in truth.objects if obj.is_free and obj.observed < SHOWN]) if truth else 0
@@ -216,11 +241,12 @@ def lost_room(
         "free": free, "placed": 0, "annotated_share": math.nan, "stable_1cm": 0.0, "stable_5cm": 0.0, "stable_nudged": 0.0,
         "anchored": math.nan, "annotated": held, "annotated_1cm": 0.0, "annotated_5cm": 0.0, "annotated_nudged": 0.0,
         "unseen_objects": unseen, "left_out": free, "fitted_left_out": len(home.objects) - free, "deep_pairs": math.nan,
-        "object_f_5cm": 0.0, "unexplained_share": 1.0,
+        "object_f_5cm": 0.0, "object_completeness_5cm": 0.0, "unexplained_share": 1.0, "anchored_share": math.nan, "moved_share": math.nan,
         "moved_15cm": len(home.objects), "moved_30cm": len(home.objects), "off_15cm": len(home.objects), "off_30cm": len(home.objects),
-        "openings": openings, "silhouette": 0.0, "openings_seen": 0.0, "categories_right": math.nan,
+        "openings": openings, "silhouette": 0.0, "openings_seen": 0.0, "ways": ways, "ways_open": 0.0, "categories_right": math.nan,
         "true_rooms": len(home.plan.rooms), "rooms_found": math.nan, "rooms_right": 0.0,
-        "unseen": truth.unseen if truth else math.nan, "seconds": total, "seconds_per_25": math.nan, "stages": dict(seconds or {}),
+        "unseen": truth.unseen if truth else math.nan, "regions_per_object": math.nan,
+        "optimization_cpu_per_25": math.nan, "seconds": total, "seconds_per_25": math.nan, "stages": dict(seconds or {}),
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Doors and windows as one sees them from inside: rays from eyes in the room to the true rectangle.
+"""Doors, windows and openings without a door as one sees them from inside: rays from eyes in the room to the true rectangle.
 
 A ray counts when the truth shows the door or window there: what a curtain covers is nobody's fault. Its silhouette is the share of
 these rays that meet the instance that stands for it before anything else of the replica.
@@ -26,6 +26,9 @@ TURNS = (-0.7, 0.0, 0.7)
 """From the normal, to either side [rad]."""
 
 EYE_HEIGHT_M = 1.5
+
+BEHIND_M = 0.35
+"""An opening is free to so far behind its rectangle: an outer wall, and half as much for walls that stand a little off."""
 
 SEEN = 0.8
 """A door or window of which so much is seen is there."""
@@ -60,12 +63,33 @@ def silhouettes(
     return shares
 
 
+def open_shares(truth: DwellingTruth, drawn: FirstHits, replica: FirstHits, moved: Array) -> list[float]:
+    """Share of every opening without a door that one can see through; what the truth has in it or before it does not count.
+
+    moved: from the frame of the truth to the replica's world, 4x4 [m].
+    """
+    shares = []
+    for opening in (row for row in truth.openings if row.kind == "passage"):
+        points = _grid(np.array(opening.corners))
+        clear = total = 0
+        for eye in eyes(truth, opening):
+            far = np.linalg.norm(points - eye, axis=1) + BEHIND_M
+            is_open = drawn.distances(eye, points) > far
+            there = points[is_open] @ moved[:3, :3].T + moved[:3, 3]
+            total += int(is_open.sum())
+            if len(there):
+                clear += int((replica.distances(moved[:3, :3] @ eye + moved[:3, 3], there) > far[is_open]).sum())
+        if total >= LEAST_RAYS:
+            shares.append(clear / total)
+    return shares
+
+
 def eyes(truth: DwellingTruth, opening: TruePassage) -> list[Array]:
-    """Places before a leaf or pane, inside of its room [m]; for a leaf that stands open on both of its sides."""
+    """Places before a leaf, pane or opening, inside of its room [m]; for a leaf that stands open on both of its sides."""
     import shapely
 
     floor = shapely.Polygon(truth.rooms[opening.room].polygon).buffer(-0.1)
-    leaf = np.array(opening.leaf)
+    leaf = np.array(opening.leaf or opening.corners)
     middle, along = leaf[:, :2].mean(axis=0), leaf[1, :2] - leaf[0, :2]
     normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
     places = []

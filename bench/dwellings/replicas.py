@@ -60,6 +60,12 @@ class FirstHits:
         met = np.isfinite(hits["t_hit"])
         return [str(self._names[int(k)]) if ok else None for k, ok in zip(hits["geometry_ids"].astype(np.int64), met, strict=True)]
 
+    def distances(self, eye: Array, points: Array) -> Array:
+        """Distances from an eye to what is met first in the direction of points, shape (n, 3) [m]; infinite where nothing is met."""
+        way = points - eye
+        hits = self._scene.cast(np.column_stack([np.tile(eye, (len(points), 1)), way]).astype(np.float32))
+        return np.asarray(hits["t_hit"], dtype=np.float64) * np.linalg.norm(way, axis=1)
+
 
 def replica_of(lake: Lake, scene_id: str) -> BenchReplica:
     """What the newest snapshot of a lake has of a scene."""

@@ -30,7 +30,9 @@ def print_dwellings(report: Mapping[str, Any], console: Console) -> None:
     if report["warm_up_seconds"] is not None:
         console.print(f"one more room went first, so that nothing is compiled below: {report['warm_up_seconds']:.0f} s")
     groups, foreign = report["groups"], report["others"]
-    table = table_of("hard rooms", ("", False), *((name, True) for name in (*groups, *(scan["title"] for scan in foreign))))
+    table = table_of(
+        f"{report.get('kind', 'hard')} rooms", ("", False), *((name, True) for name in (*groups, *(scan["title"] for scan in foreign)))
+    )
     add_row(table, "rooms", *(str(group["rooms"]) for group in groups.values()), *("" for _ in foreign))
     failed = [int(scan["error"] is not None) for scan in foreign]
     add_row(table, "of these failed", *(str(group["failed"]) for group in groups.values()), *map(str, failed))

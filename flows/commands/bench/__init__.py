@@ -14,10 +14,11 @@ from flows.commands.bench.acting import policy, robot
 from flows.commands.bench.capturing import capture
 from flows.commands.bench.comparing import files
 from flows.commands.bench.drawing import synthesis
+from flows.commands.bench.furnished import rooms
 from flows.commands.bench.matching import alignment, selection
 from flows.commands.bench.measurement import chosen_words, listed_numbers, processes_option, run_measurement
 from flows.commands.bench.modeling import models
-from flows.commands.options import json_option, set_option
+from flows.commands.options import json_option
 from schemas.errors import InputError
 
 METHODS = ("paper", "released", "default")
@@ -41,6 +42,7 @@ command.add_command(files)
 command.add_command(models)
 command.add_command(policy)
 command.add_command(robot)
+command.add_command(rooms)
 command.add_command(selection)
 command.add_command(synthesis)
 
@@ -79,44 +81,6 @@ def optimization(rooms: int, address: str | None, seed: int, methods: str, moves
         processes=processes,
     )
     run_measurement("measured", steps_of(config), partial(run_bench, config), print_report, as_json)
-
-
-@command.command("rooms")
-@click.option("--rooms", type=click.IntRange(0, 10_000), default=30, show_default=True, help="Hard rooms; every other one with frames.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms and scans.")
-@click.option(
-    "--folder", type=click.Path(path_type=Path, file_okay=False), help="Where finished rooms are remembered: the same command goes on."
-)
-@click.option(
-    "--realdata",
-    type=click.Path(path_type=Path, file_okay=False),
-    envvar="METASCENES_REALDATA",
-    help="Folder with the AWS small house, its models and the synthetic living room, which are measured, too.",
-)
-@set_option
-@processes_option
-@json_option
-def rooms(
-    rooms: int, seed: int, folder: Path | None, realdata: Path | None, settings: tuple[str, ...], processes: int, as_json: bool
-) -> None:
-    """Measure the pipeline on hard rooms: whole dwellings, scanned badly, from capture to optimization, held against the truth.
-
-    Dwellings have 40 to 80 objects in several rooms, fitted kitchens, seats round tables, slopes and steps; a third of what could be
-    seen is missing in their scans, segments are merged and split, labels misspelled. A free object that was left out, or fixed,
-    counts as unstable, and so do all of a room in which a stage failed. Scans by others stand beside them, as far as their truth goes.
-    One more room goes first and is not in the table: seconds are those of code that is compiled.
-
-    The exit code is 1 when a goal is missed, and else 0.
-
-    Example: metascenes bench rooms --rooms 2 --folder rooms
-    """
-    from bench.dwellings import DwellingsBench, run_dwellings_bench
-    from bench.dwellings.tables import print_dwellings
-
-    if not (rooms or realdata):
-        raise click.UsageError("--rooms 0 without --realdata: nothing is left to measure; give one of them")
-    config = DwellingsBench(rooms, seed, processes, folder, realdata, settings=settings)
-    run_measurement("measured", config.steps, partial(run_dwellings_bench, config), print_dwellings, as_json)
 
 
 @command.command("exports")

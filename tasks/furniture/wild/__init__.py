@@ -19,12 +19,12 @@ from tasks.furniture.drafting import Extents
 from tasks.furniture.dwellings import HUNG, Dwelling, TrueOpening, fill_openings, part_objects
 from tasks.furniture.dwellings.corners import flat_rug
 from tasks.furniture.dwellings.placing import RoomFurnisher
-from tasks.furniture.dwellings.plans import FloorPlan
+from tasks.furniture.dwellings.plans import FloorPlan, Opening
 from tasks.furniture.dwellings.shells import shell
-from tasks.furniture.furnishing import GAP_M, Furnishing
+from tasks.furniture.furnishing import GAP_M, Furnishing, Wall
 from tasks.furniture.halves import Half, TemplateWithheld
 from tasks.furniture.rooms import FurnishedRoom, place_step, small_size
-from tasks.furniture.wild.bodies import dish_rack, draped_sofa, guitar, piano, screen, wall_shelf
+from tasks.furniture.wild.bodies import dish_rack, draped_sofa, glass_shelf, guitar, leaning, loose_cushion, piano, screen, wall_shelf
 from tasks.furniture.wild.foreign import AT_WALLS, MAX_FLOOR_M, ON_TOPS, ForeignFile, foreign_files, foreign_model
 from tasks.furniture.wild.plans import halls, shelved_wall, wild_plan
 from tasks.furniture.wild.sheets import SizedModel, curtain, heap
@@ -34,9 +34,18 @@ __all__ = ["ForeignFile", "foreign_files", "wild_room"]
 
 CLUTTER: tuple[str, ...] = (
     "box", "bottle", "bowl", "cup", "mug", "plate", "vase", "plant", "book", "book stack", "stuffed animal", "tissue box", "speaker",
-    "camera", "sculpture", "tray", "towel", "wine glass", "pot", "pan", "shoe", "keyboard", "laptop", "basket",
+    "camera", "sculpture", "tray", "wine glass", "pot", "pan", "shoe", "keyboard", "laptop", "basket",
 )  # fmt: skip
 """What lies on every surface, as far as the withheld half has it."""
+
+SHELVED: tuple[str, ...] = ("vase", "book stack", "speaker", "stuffed animal", "sculpture", "plant", "plate", "box")
+"""What stands on glass shelves: large enough for a scan to show it."""
+
+SMALL_M: dict[str, Extents] = {
+    "book stack": (0.18, 0.3, 0.24), "speaker": (0.18, 0.16, 0.26), "plant": (0.2, 0.2, 0.3), "box": (0.18, 0.26, 0.16),
+    "stuffed animal": (0.18, 0.22, 0.28), "sculpture": (0.16, 0.18, 0.3), "vase": (0.16, 0.16, 0.3),
+}  # fmt: skip
+"""Extents of what stands on glass shelves [m]."""
 
 ABOUT: tuple[str, ...] = ("backpack", "bag", "shoe", "ball", "suitcase", "storage bin", "basket", "stool", "trash can", "ottoman", "fan")
 """What stands about on the floor."""
@@ -51,8 +60,8 @@ CARRIERS: tuple[str, ...] = (
 FOREIGN = 5
 """Models by others in a room."""
 
-LEAN = (0.16, 0.26)
-"""Angles at which a guitar leans at a wall [rad]."""
+LEAN = (0.13, 0.18)
+"""Angles at which things lean at a wall [rad]: with less they tip forward, with much more friction of 0.6 does not hold them."""
 
 HEAP_M = ((1.15, 1.35), (1.35, 1.55), (0.24, 0.4))
 """Sides and height of a heap of cloth."""
@@ -114,12 +123,11 @@ def is_drawn(category: str) -> bool:
 
 
 def wild_room(seed: int | tuple[int, ...], foreign: Sequence[ForeignFile] = ()) -> Dwelling:
-    """The wild room of a seed: 36 to 52 objects in one room. foreign: models by others, of which some furnish it."""
+    """The wild room of a seed: 40 to 65 objects in one room. foreign: models by others, of which some furnish it."""
     rng = np.random.default_rng(seed)
     plan = wild_plan(rng)
     furnisher = WildFurnisher(plan.rooms[0], plan.height, rng, "room0_")
     openings: list[TrueOpening] = fill_openings(furnisher, plan, 0)
-    count = int(rng.integers(36, 53))
     _shelf(furnisher, plan)
     _sofa(furnisher)
     _dining(furnisher)
@@ -128,17 +136,19 @@ def wild_room(seed: int | tuple[int, ...], foreign: Sequence[ForeignFile] = ()) 
     _rug(furnisher)
     _curtains(furnisher, plan)
     _foreign(furnisher, foreign)
-    for category in (WALLED[int(k)] for k in rng.permutation(len(WALLED))[:4]):
+    _glass(furnisher, plan)
+    for category in (WALLED[int(k)] for k in rng.permutation(len(WALLED))[:3]):
         if is_drawn(category):
             furnisher.against_wall(category)
     for category in ("picture", "mirror"):
         if is_drawn(category):
             place_step(furnisher, "hang", category, "")
     _rack(furnisher)
-    for category in (ABOUT[int(k)] for k in rng.permutation(len(ABOUT))[:5]):
+    for category in (ABOUT[int(k)] for k in rng.permutation(len(ABOUT))[:4]):
         if is_drawn(category):
             furnisher.on_floor(category)
-    _clutter(furnisher, count)
+    _clutter(furnisher, len(furnisher.objects) + int(rng.integers(8, 15)))
+    _clear_windows(furnisher, plan)
     part_objects(furnisher)
     fitted = frozenset(obj.name for obj in furnisher.objects if obj.name in furnisher.fitted or obj.parent in HUNG or obj.category == "rug")
     structure = [*shell(plan, [], rng), *halls(plan)]
@@ -186,7 +196,25 @@ def _sofa(furnisher: WildFurnisher) -> None:
         size: Extents = (float(rng.uniform(0.75, 1.0)), min(y1 - y0 - 0.1, float(rng.uniform(0.6, 0.85))), float(rng.uniform(0.36, 0.44)))
         local = yaw_pose(0.0, [x0 + float(rng.uniform(0.06, 0.12)) + 0.5 * size[0], 0.5 * (y0 + y1), 0.0])
         furnisher.on_floor_at("coffee table", size, sofa.pose @ local)
+        _cushions(furnisher, sofa)
         return
+
+
+def _cushions(furnisher: WildFurnisher, sofa: Furnishing) -> None:
+    """Loose cushions that lean on a sofa's backs."""
+    rng = furnisher.rng
+    x, y = (0.5 * side for side in sofa.extents[:2])
+    spots = [(-x, float(at), 0.0) for at in rng.uniform(-y + 0.7, y - 0.7, 3)]
+    spots += [(float(at), side * y, -0.5 * np.pi * side) for side in (-1, 1) for at in rng.uniform(-x + 1.2, x - 0.6, 1)]
+    for at_x, at_y, turn in spots:
+        sized = loose_cushion(rng)
+        out = 0.22 + 0.5 * sized.extents[0]
+        local = yaw_pose(turn, [at_x + out * np.cos(turn), at_y + out * np.sin(turn), 0.0])
+        reach = np.abs(local[:2, :2]) @ np.array(sized.extents[:2])
+        level = furnisher._rest(sofa, (float(local[0, 3]), float(local[1, 3])), 0.8 * reach, 0.4 * sofa.extents[2], 0.5)
+        if level is not None:
+            local[2, 3] = level
+            furnisher.within(sofa, "cushion", sized, local)
 
 
 def _heap(furnisher: WildFurnisher) -> None:
@@ -204,14 +232,40 @@ def _music(furnisher: WildFurnisher) -> None:
     if placed is not None:
         size: Extents = (0.34, 0.62, 0.48)
         furnisher.on_floor_at("bench", size, placed.pose @ yaw_pose(0.0, [0.5 * placed.extents[0] + 0.1, 0.0, 0.0]), tucked=placed)
-    furnisher.along_walls("guitar", guitar(rng, float(rng.uniform(*LEAN))), gap=0.001)
+    for _ in range(int(rng.integers(1, 3))):
+        furnisher.along_walls("guitar", guitar(rng, float(rng.uniform(*LEAN))), gap=0.001)
+    for _ in range(int(rng.integers(3, 6))):
+        category, sized = leaning(rng, float(rng.uniform(*LEAN)))
+        furnisher.along_walls(category, sized, gap=0.001)
+
+
+def _glass(furnisher: WildFurnisher, plan: FloorPlan) -> None:
+    """Glass shelves at walls, with things on them that seem to hang in the air."""
+    rng = furnisher.rng
+    for _ in range(2):
+        for _ in range(30):
+            number = int(rng.integers(len(furnisher.walls)))
+            wall, width = furnisher.walls[number], float(rng.uniform(0.8, 1.2))
+            if wall.length < width + 0.2:
+                continue
+            at = float(rng.uniform(0.5 * width + 0.05, wall.length - 0.5 * width - 0.05))
+            sized = glass_shelf(rng, width)
+            pose = furnisher.at_wall(number, at, sized.extents[0], float(rng.uniform(1.15, 1.5)), 0.001)
+            shelf = furnisher.modelled("shelf", sized.model, sized.extents, pose, "wall", True)
+            if shelf is None:
+                continue
+            for _ in range(4):
+                kinds = [category for category in SHELVED if is_drawn(category)]
+                category = kinds[int(rng.integers(len(kinds)))]
+                furnisher.on_top(shelf, category, SMALL_M.get(category))
+            break
 
 
 def _dining(furnisher: WildFurnisher) -> None:
     """A table with chairs tucked in as far as its legs allow."""
     rng = furnisher.rng
     low, high = furnisher.polygon.min(axis=0), furnisher.polygon.max(axis=0)
-    for _ in range(60):
+    for _ in range(200):
         pose = yaw_pose(furnisher.walls[0].yaw + float(rng.choice([0.0, 0.5 * np.pi])), [*rng.uniform(low, high), 0.0])
         size: Extents = (float(rng.uniform(0.75, 0.85)), float(rng.uniform(1.25, 1.45)), 0.74)
         if not furnisher.is_free(pose, (size[0] + 0.5, size[1] + 0.3, size[2])):
@@ -247,6 +301,20 @@ def _curtains(furnisher: WildFurnisher, plan: FloorPlan) -> None:
             at = float(np.clip(end, 0.5 * width + 0.03, wall.length - 0.5 * width - 0.03))
             pose = furnisher.at_wall(opening.wall, at, sized.extents[0], 0.04, 0.012)
             furnisher.modelled("curtain", sized.model, sized.extents, pose, "wall", True)
+
+
+def _clear_windows(furnisher: WildFurnisher, plan: FloorPlan) -> None:
+    """Take down what hangs before a window: it is thinner than the space before a pane that stays clear."""
+    for opening in (o for o in plan.openings_of(0) if o.kind == "window"):
+        wall = furnisher.walls[opening.wall]
+
+        def is_before(obj: Furnishing, wall: Wall = wall, opening: Opening = opening) -> bool:
+            offset = obj.pose[:2, 3] - wall.start
+            reach = 0.5 * (obj.extents[1] + opening.width)
+            is_level = obj.pose[2, 3] < opening.high and obj.pose[2, 3] + obj.extents[2] > opening.low
+            return bool(abs(offset @ wall.along - opening.at) < reach and offset @ wall.inward < 0.2 and is_level)
+
+        furnisher.objects = [obj for obj in furnisher.objects if obj.category not in ("picture", "mirror") or not is_before(obj)]
 
 
 def _foreign(furnisher: WildFurnisher, files: Sequence[ForeignFile]) -> None:

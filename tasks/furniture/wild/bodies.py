@@ -13,7 +13,7 @@ import numpy as np
 
 from tasks.furniture.drafting import Draft, Extents
 from tasks.furniture.dwellings.corners import ShapedModel, corner_sofa
-from tasks.furniture.palette import BRASSES, CERAMICS, COVERS, DARKS, FABRICS, LINENS, METALS, PAINTS, WHITES, WOODS, pick, shade
+from tasks.furniture.palette import BRASSES, CERAMICS, COVERS, DARKS, FABRICS, GLASSES, LINENS, METALS, PAINTS, WHITES, WOODS, pick, shade
 from tasks.furniture.solids import Solid, Span, bar, box, cushion, cylinder, rotation
 from tasks.furniture.wild.sheets import SizedModel, assembled, part_of, throw
 
@@ -30,7 +30,7 @@ class WallShelf:
 
     sized: SizedModel
     openings: tuple[tuple[Span, Span], ...]
-    screen: tuple[Span, Span] | None
+    screen: tuple[Span, Span]
 
 
 def draped_sofa(rng: np.random.Generator, width: float, reach: float) -> ShapedModel:
@@ -39,14 +39,14 @@ def draped_sofa(rng: np.random.Generator, width: float, reach: float) -> ShapedM
     hx, hy, tall = 0.5 * reach, 0.5 * width, shape.extents[2]
     seat, back = 0.5 * tall, 0.2
     parts, hulls = list(shape.model.parts), list(shape.model.hulls)
-    spots = [(-hx + back + 0.02, float(y), 0.0) for y in rng.uniform(-hy + 0.5, hy - 0.5, int(rng.integers(3, 6)))]
+    spots = [(-hx + back + 0.02, float(y), 0.0) for y in rng.uniform(-hy + 0.5, hy - 0.5, int(rng.integers(1, 4)))]
     for side in (-1, 1):
-        along = rng.uniform(-hx + 0.9, hx - 0.5, int(rng.integers(1, 4)))
+        along = rng.uniform(-hx + 0.9, hx - 0.5, int(rng.integers(0, 3)))
         spots += [(float(x), side * (hy - back - 0.02), -side * 0.5 * np.pi) for x in along]
     for number, (x, y, turn) in enumerate(spots):
-        side = float(rng.uniform(0.36, 0.5))
+        length = float(rng.uniform(0.36, 0.5))
         # Cushions lean on the back: their lower edge is on the seat, half a thickness before it.
-        pad = cushion((-0.07, 0.07), (-0.5 * side, 0.5 * side), (0.0, side), 0.06).turned("y", -float(rng.uniform(0.2, 0.5)))
+        pad = cushion((-0.07, 0.07), (-0.5 * length, 0.5 * length), (0.0, length), 0.06).turned("y", -float(rng.uniform(0.2, 0.5)))
         pad = pad.turned("x", float(rng.uniform(-0.2, 0.2))).turned("z", turn + float(rng.uniform(-0.3, 0.3)))
         out = 0.12 * np.array([np.cos(turn), np.sin(turn)])
         pad = pad.at(x + out[0], y + out[1], seat - float(pad.vertices[:, 2].min()) - 0.01)
@@ -145,7 +145,7 @@ def guitar(rng: np.random.Generator, lean: float) -> SizedModel:
     lower = cylinder(0.19, (-0.05, 0.05), 20).turned("y", 0.5 * np.pi).at(0.0, 0.0, 0.19)
     upper = cylinder(0.14, (-0.05, 0.05), 20).turned("y", 0.5 * np.pi).at(0.0, 0.0, 0.38)
     solids: list[tuple[str, tuple[int, int, int], Solid]] = [
-        ("body", wood, lower), ("body", wood, upper),
+        ("body", wood, lower), ("body", wood, upper), ("foot", pick(DARKS, rng), box((0.0, 0.05), (-0.08, 0.08), (-0.02, 0.03))),
         ("rose", pick(DARKS, rng), cylinder(0.05, (0.05, 0.053), 14).turned("y", 0.5 * np.pi).at(0.0, 0.0, 0.34)),
         ("neck", neck, box((0.03, 0.055), (-0.028, 0.028), (0.5, 0.9))),
         ("head", neck, box((0.025, 0.05), (-0.04, 0.04), (0.9, 1.04))),
@@ -153,6 +153,53 @@ def guitar(rng: np.random.Generator, lean: float) -> SizedModel:
     ]  # fmt: skip
     tilt = rotation("y", -lean)
     return _drawn("leaning guitar", "guitar", [(name, color, solid.moved(tilt)) for name, color, solid in solids])
+
+
+def leaning(rng: np.random.Generator, lean: float) -> tuple[str, SizedModel]:
+    """Something flat or long that leans back by an angle [rad], and its category: a framed picture, a broom, a skateboard, a board."""
+    kind = ("picture", "broom", "skateboard", "ironing board")[int(rng.integers(4))]
+    wood, cloth, metal = pick(WOODS, rng), pick(COVERS + FABRICS, rng), pick(METALS, rng)
+    if kind == "picture":
+        y, z = float(rng.uniform(0.3, 0.45)), float(rng.uniform(0.7, 1.1))
+        solids = [("frame", wood, box((-0.015, 0.015), (-y, y), (0.0, z)))]
+        bands = np.linspace(0.04, z - 0.04, 6)
+        for a, b in pairwise(bands):
+            span = (float(a), float(b))
+            solids.append(("canvas", pick(COVERS + LINENS, rng), box((0.015, 0.018), (-y + 0.04, y - 0.04), span)))
+    elif kind == "broom":
+        solids = [
+            ("stick", wood, box((-0.014, 0.014), (-0.014, 0.014), (0.14, 1.35))),
+            ("brush", cloth, box((-0.03, 0.03), (-0.16, 0.16), (0.0, 0.15))),
+        ]
+    elif kind == "skateboard":
+        solids = [("deck", cloth, box((-0.012, 0.012), (-0.1, 0.1), (0.0, 0.8)))]
+        for z in (0.16, 0.64):
+            solids.append(("wheels", metal, box((0.012, 0.07), (-0.09, 0.09), (z - 0.03, z + 0.03))))
+    else:
+        solids = [
+            ("top", cloth, box((-0.02, 0.02), (-0.19, 0.19), (0.12, 1.4))),
+            ("legs", metal, box((-0.045, -0.02), (-0.15, 0.15), (0.0, 1.0))),
+        ]
+    tilt = rotation("y", -lean)
+    return kind, _drawn(f"leaning {kind}", kind, [(name, color, solid.moved(tilt)) for name, color, solid in solids])
+
+
+def glass_shelf(rng: np.random.Generator, width: float) -> SizedModel:
+    """A pane on two thin brackets that a depth sensor mostly looks through, `width` wide [m]."""
+    size: Extents = (0.24, width, 0.1)
+    d = Draft("shelf", size, rng, None)
+    d.one_of("glass")
+    d.box("glass", d.main(GLASSES), (-d.hx, d.hx), (-d.hy, d.hy), (d.Z - 0.01, d.Z))
+    for s in (-1, 1):
+        d.box("brackets", d.pick(METALS), (-d.hx, -d.hx + 0.02), (s * 0.7 * d.hy - 0.008, s * 0.7 * d.hy + 0.008), (0.0, d.Z - 0.01))
+    return SizedModel(d.model(size), size)
+
+
+def loose_cushion(rng: np.random.Generator) -> SizedModel:
+    """A cushion that leans back, by so much that its lower edge keeps it."""
+    side = float(rng.uniform(0.4, 0.52))
+    pad = cushion((-0.07, 0.07), (-0.5 * side, 0.5 * side), (0.0, side), 0.05).turned("y", -float(rng.uniform(0.35, 0.6)))
+    return _drawn("loose cushion", "cushion", [("cushion", pick(COVERS + LINENS + FABRICS, rng), pad)])
 
 
 def piano(rng: np.random.Generator) -> SizedModel:

@@ -50,9 +50,11 @@ def foreign_files(folder: Path) -> list[ForeignFile]:
         InputError: the folder has no index, or it cannot be read.
     """
     path = folder / INDEX
-    if not path.is_file():
-        raise InputError(str(path), "file", "is not there", "name a folder of models with an index")
-    rows = json_value(path.read_text())
+    data = read_file(path, str(path), BUDGET.text_bytes, "name a folder of models with an index")
+    try:
+        rows = json_value(data)
+    except ValueError as problem:
+        raise InputError(str(path), "content", str(problem), "write the index again") from problem
     if not isinstance(rows, list) or not all(isinstance(row, dict) and {"file", "category"} <= row.keys() for row in rows):
         raise InputError(str(path), "content", "must be a list of objects with file and category", "write the index again")
     files = [ForeignFile(folder / str(row["file"]), str(row["category"])) for row in rows]

@@ -1,0 +1,1 @@
+"""Tests of wild rooms and their scans."""
