@@ -14,7 +14,7 @@ from tasks.geometry.meshes import read_points
 from tasks.geometry.transforms import transform_points
 from tasks.geometry.triangles import distinct_rows
 from tasks.mounting import mounting
-from tasks.selection.sightlines import FREE_DISTANCE_M, DepthMap, box_cells, depth_views, is_seen_empty
+from tasks.views.sightlines import FREE_DISTANCE_M, DepthMap, box_cells, is_seen_empty, scene_depth_maps
 
 Array = NDArray[np.float64]
 
@@ -53,23 +53,18 @@ class Neighborhood:
         Raises:
             InputError: points of an instance are no point cloud of this lake.
         """
-        seen, coverings, scanned = {}, set(), [np.zeros((0, 3))]
+        seen, coverings = {}, set()
         for instance in sorted(instances, key=lambda row: row.instance_id):
             is_floor = instance.is_structure and instance.nyu40_label == FLOOR
-            is_shell = instance.is_structure and not is_floor
-            if (is_shell and not frames) or instance.points_blob not in blobs:
-                continue
-            points, _ = read_points(blobs[instance.points_blob], instance.points_blob)
-            if frames:
-                scanned.append(cubes(points))
-            if is_shell:
+            if (instance.is_structure and not is_floor) or instance.points_blob not in blobs:
                 continue
             if mounting(instance.category).kind == "covering":
                 coverings.add(instance.instance_id)
+            points, _ = read_points(blobs[instance.points_blob], instance.points_blob)
             if is_floor:
                 points = points + np.array([0.0, 0.0, ABOVE_FLOOR_M])
             seen[instance.instance_id] = cubes(points)
-        return Neighborhood(seen, frozenset(coverings), depth_views(frames, np.concatenate(scanned), CELL_M))
+        return Neighborhood(seen, frozenset(coverings), scene_depth_maps(frames, instances, blobs))
 
     def within(self, own: str, low: Array, high: Array) -> Array:
         """Cubes of all but one instance in a box along the world's axes [m], shape (n, 3)."""

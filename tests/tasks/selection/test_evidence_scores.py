@@ -13,7 +13,7 @@ from tasks.alignment import Distances
 from tasks.geometry.transforms import flat, look_at, yaw_pose
 from tasks.selection import ScoreConfig
 from tasks.selection.scoring import explanation_of, whole_first
-from tasks.selection.sightlines import box_cells, depth_views, is_seen_empty
+from tasks.views.sightlines import box_cells, depth_views, is_seen_empty
 from tests.tasks.selection.rooms import WOOD, Room, cabinet, chair, part, scan, shelf
 
 CROP = "scan_crop_closed"

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Frame
+from schemas.capture import Frame, Instance
+from tasks.geometry.meshes import read_points
 from tasks.geometry.transforms import matrix
+from tasks.geometry.triangles import distinct_rows
 from tasks.kernels import Kernels, compile_kernels
 
 Array = NDArray[np.float64]
+
+CUBE_M = 0.04
+"""Points are drawn as cubes of this edge, so that depth maps have few holes and scenes few points."""
 
 MAX_CAMERAS = 24
 """Frames of a walk around a room look alike; two dozen of them see what all of them saw."""
@@ -42,6 +47,24 @@ class DepthMap:
     to_camera: Array
     intrinsics: tuple[float, float, float, float]
     depth: Array
+
+
+def scene_depth_maps(frames: Sequence[Frame], instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> list[DepthMap]:
+    """Depth maps of a scene's frames from the points of all its instances, as `depth_views` makes them.
+
+    Raises:
+        InputError: points of an instance are no point cloud of this lake.
+    """
+    if not any(frame.pose is not None for frame in frames):
+        return []
+    clouds = [read_points(blobs[row.points_blob], row.points_blob)[0] for row in instances if row.points_blob in blobs]
+    return depth_views(frames, np.concatenate([np.zeros((0, 3)), *(cube_middles(points) for points in clouds)]), CUBE_M)
+
+
+def cube_middles(points: Array) -> Array:
+    """Middles of the cubes of edge `CUBE_M` that points are in [m], shape (n, 3) to (m, 3)."""
+    cells = np.floor(points / CUBE_M).astype(np.int64)
+    return np.asarray((cells[distinct_rows(cells)[0]] + 0.5) * CUBE_M)
 
 
 def depth_views(frames: Sequence[Frame], cubes: Array, edge_m: float) -> list[DepthMap]:
