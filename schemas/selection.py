@@ -28,7 +28,7 @@ class Selection:
     )
     foreign_share: float | None = column(
         "Of the 4 cm cubes in which the instance was seen, and those within the asset that others or the free space above the floor "
-        "were seen in, the share of the latter; missing where nobody looked",
+        "were seen in or that the frames saw empty, the share of the latter; missing where nobody looked",
         minimum=0,
         maximum=1,
     )

@@ -53,6 +53,9 @@ TAUGHT = ModelScores.kind
 DEFAULT = "default"
 """What chooses where nobody says anything."""
 
+BUNDLED = "bundled"
+"""The bundled model, among candidates that fit nearly as well as the best."""
+
 HOURS = 8.0
 TRAINING_MINUTES = 20.0
 EXAMPLES = {"train": 2000, "test": 500}
@@ -174,7 +177,11 @@ def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]], meth
     learned = [MeasuredMethod(name, ModelScores(row.model_id, within=1.0), seed, loaded_model(lake, row)) for name, seed, row in models]
     named = [
         MeasuredMethod(name, method, 0, None if (asked := wanted(method)) is None else held_model(lake, asked))
-        for name, method in ((DEFAULT, SelectionConfig().provider), *((method.kind, method) for method in methods))
+        for name, method in (
+            (DEFAULT, SelectionConfig().provider),
+            (BUNDLED, ModelScores("small")),
+            *((method.kind, method) for method in methods),
+        )
     ]
     return [*(MeasuredMethod(name, method) for name, method in PLAIN.items()), *named, *learned]
 
@@ -259,7 +266,7 @@ def goals(
     plain = best_plain(figures)
     own, other = top(figures, MODEL), top(figures, plain)
     wanted = other + min(0.1, 0.5 * (1 - other))
-    rivals = [name for name in rare if name not in (MODEL, TAUGHT, DEFAULT, *ABLATIONS, BLIND)]
+    rivals = [name for name in rare if name not in (MODEL, TAUGHT, DEFAULT, BUNDLED, *ABLATIONS, BLIND)]
     rest = max((top(rare, name) for name in rivals if np.isfinite(top(rare, name))), default=float("nan"))
     longest = max((model.seconds for name, _, model in models if name == MODEL), default=float("nan"))
     return [

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 SELECTION_METHODS = (
-    "model",
     "geometric",
+    "model",
     "extents",
     "color_histogram",
     "image_similarity",
@@ -12,4 +12,4 @@ SELECTION_METHODS = (
     "acdc",
     "vision_language",
 )
-"""The first is the default; `geometric` stands in where another one lacks what it needs."""
+"""The first is the default, and stands in where another one lacks what it needs."""

@@ -29,6 +29,7 @@ from tasks.candidates.provider import NothingToOffer, ProviderConfig
 from tasks.candidates.providers import provider_of
 from tasks.candidates.request import CandidateRequest
 from tasks.candidates.retrieval import Retrieval
+from tasks.candidates.scan_crop import ScanCrop
 from tasks.candidates.slots import DEFAULT_SLOTS, SlotConfig, Slots
 from tasks.capture.scan import Scan
 from tasks.library.library import OpenLibrary
@@ -37,6 +38,7 @@ from tasks.settings import Config
 from tasks.stage import Blobs, Context, Outcome, Stage
 from tasks.texturing.sightings import sightings
 from tasks.texturing.views import ColorView, ViewsConfig
+from tasks.views.sightlines import DepthMap, scene_depth_maps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,10 +86,11 @@ def run(
     best_views = {mask.instance_id: (seen.get(mask.frame_id), mask) for mask in masks if best.get(mask.instance_id) == mask.frame_id}
     views, unseen, unread = sightings(scan, frames, objects, context.blobs, config.views) if scan_wanted(config) else ({}, "", [])
     problems += unread + ([f"no textured twins: {unseen}"] if unseen else [])
+    sightlines = scene_depth_maps(frames, instances, context.blobs) if any(isinstance(s.provider, ScanCrop) for s in config.slots) else []
     parts = [
         _Part(
             own, by_instance, objects, looks, best_views, {row.instance_id: views.get(row.instance_id, ()) for row in own}, unseen,
-            retrieval, _context_of(own, context), config,
+            retrieval, _context_of(own, context), config, sightlines,
         )
         for own in dealt
     ]  # fmt: skip
@@ -139,7 +142,7 @@ Slotted = list[tuple[Candidate, MadeAsset | None]]
 class _Part:
     """Objects of a scene, `own`, with all that their slots are filled from; may go to another process. looks: of those that look alike,
     which one stands for all. best: Frame and mask of the best view of each, as far as they are known. views: Frames that show each of its
-    own, and unseen, why there are none."""
+    own, and unseen, why there are none. sightlines: Depth maps of the scan."""
 
     own: Sequence[Instance]
     captions: Mapping[str, Caption]
@@ -151,6 +154,7 @@ class _Part:
     retrieval: Retrieval | None
     context: Context
     config: CandidatesConfig
+    sightlines: Sequence[DepthMap]
 
 
 def _context_of(objects: Sequence[Instance], context: Context) -> Context:
@@ -167,7 +171,7 @@ def _filled(part: _Part) -> dict[str, Slotted]:
         frame, mask = part.best.get(row.instance_id, (None, None))
         requests[row.instance_id] = CandidateRequest(
             row, part.captions.get(row.instance_id), part.context, part.retrieval, part.objects, frame, mask,
-            part.views[row.instance_id], part.unseen, is_withholding=part.config.withheld,
+            part.views[row.instance_id], part.unseen, part.sightlines, is_withholding=part.config.withheld,
         )  # fmt: skip
     filled: dict[str, Slotted] = {}
     fitted: dict[str, MadeAsset] = {}

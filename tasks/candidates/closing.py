@@ -11,7 +11,8 @@ A distance is put on a grid and its level taken, so the result is closed whateve
   generalized winding number (Jacobson et al., "Robust inside-outside segmentation using generalized winding numbers",
   SIGGRAPH 2013).
 * The lowest layer reaches straight down to the bottom of the box, so that the solid stands on a flat contact.
-* Where smoothing would take away most of the surface (strips, rods and wires of a cell or less), the shell stays as it is.
+* Where smoothing would take scanned surface away (strips, rods, cloth and tatters of a cell or less), the shell stays as it is.
+* Space that frames saw empty is carved: it is not inside, whatever rays tell, and bodies do not reach down through it.
 * What the scan could not see of furniture is drawn out of what it saw (`tasks.candidates.completion`).
 * What the shell added around the outside is taken away again: the solid is fitted to the bounds of the crop.
 """
@@ -19,6 +20,7 @@ A distance is put on a grid and its level taken, so the result is closed whateve
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,8 +63,24 @@ MIN_THICKNESS_M = 0.005
 MIN_SIMPLIFIED_VOLUME = 0.5
 """Least share of its volume that a solid keeps when it is simplified: a thin one may fold and enclose less than nothing."""
 
-MIN_BODY_SHARE = 0.15
-"""Separate bodies whose diagonal is below this share of the whole are specks; a chair's leg under an unseen seat is 0.4 of it."""
+MIN_BODY_SHARE = 0.03
+"""Separate bodies whose diagonal is below this share of the whole are specks; seats, boards and rungs that a scan shows in parts are
+0.05 to 0.15 of it, a chair's leg under an unseen seat is 0.4."""
+
+SCAN_NOISE_M = 0.03
+"""Scanned surface this near to the solid is the noise of a room scan."""
+
+MIN_BODY_STEPS = 5.0
+"""Bodies that are smaller in cells are noise, however small the object is."""
+
+LOST_REACH_STEPS = 2
+"""Steps around lost surface in which the shell is put back: as far as the smoothing reaches."""
+
+MIN_LOST_NODES = 12
+"""Fewer connected nodes of lost surface are single vertices that noise carried away."""
+
+MIN_STRIP_SHARE = 0.15
+"""Parts whose diagonal is below this share of the whole are beads of a strip that fell apart."""
 
 COLOR_POINTS = 8_000
 """Points of the scan that colors are taken from: one per 2 cm on a wardrobe."""
@@ -83,9 +101,16 @@ class SolidField:
     high: Array
 
 
-def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN) -> SolidField:
-    """The field of a crop whose frame has +Z up and the bottom of the object's box at z = 0, completed by what is unseen of it."""
-    from scipy.ndimage import gaussian_filter, uniform_filter
+EmptySpace = Callable[[Array], NDArray[np.bool_]]
+"""Tells which points, shape (n, 3) [m], lie in space that the scan saw empty, shape (n,)."""
+
+
+def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN, is_empty: EmptySpace | None = None) -> SolidField:
+    """The field of a crop whose frame has +Z up and the bottom of the object's box at z = 0, completed by what is unseen of it.
+
+    Space that the scan saw empty is carved first: neither rays nor bodies that reach down fill it, but legs and poles do, which scans lose.
+    """
+    from scipy.ndimage import binary_dilation, gaussian_filter, uniform_filter
 
     low, high = crop.bounds
     low[:2] -= [unseen.sides[0], unseen.sides[2]]
@@ -101,18 +126,47 @@ def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN) -> SolidField:
     # Only near the surface does the amount matter; elsewhere the sign does.
     distance = distances(vertices, crop.faces, grid, FAR_STEPS * step)
     inside = enclosed(vertices, crop.faces, grid, distance > 0.5 * step).astype(np.float32)
+    # Only nodes that something would fill are asked for: those that rays took for inside, and those below a body.
+    asked = inside > 0
+    if unseen.sides[4] > 0.0 and unseen.base == "body":
+        asked |= (distance > 0.5 * step) & (grid.axes[2] < crop.bounds[0][2])
+    empty = _empty_nodes(grid, asked, is_empty)
+    inside[empty] = 0.0
     # A lone node that differs from most of its neighbors was decided by noise.
-    solid = uniform_filter(inside, 3) > 0.5
+    solid = (uniform_filter(inside, 3) > 0.5) & ~empty
     field = gaussian_filter(np.where(solid, -distance, distance) - SHELL_STEPS * step, SMOOTHING_CELLS, mode="nearest")
+    # Averages draw the edges of a narrow strip together and lift thin sheets off the grid: where scanned surface is lost,
+    # the shell is that of the faces as they were scanned, and everywhere if most of it is.
+    raw = distances(crop.vertices, crop.faces, grid, FAR_STEPS * step)
+    noise = binary_dilation(field < 0, iterations=max(round(SCAN_NOISE_M / step), 1))
+    is_lost = _large_parts((raw <= 0.5 * step) & ~noise)
     near = distance <= 0.5 * step
-    is_lost = (field[near] < 0).sum() <= MIN_KEPT_SURFACE * near.sum() or _is_broken(field < 0)
-    if is_lost and float(np.ptp(crop.bounds, axis=0).max()) > step:
-        # Averages draw the edges of a narrow strip together: its shell is that of the faces as they were scanned.
-        shell = distances(crop.vertices, crop.faces, grid, FAR_STEPS * step) - SHELL_STEPS * step
-        field = np.minimum(field, shell.astype(np.float32))
-    field = completed(field, grid.axes, low, high, unseen)
+    is_broken = (field[near] < 0).sum() <= MIN_KEPT_SURFACE * near.sum() or _is_broken(field < 0)
+    if float(np.ptp(crop.bounds, axis=0).max()) > step:
+        where = np.ones_like(is_lost) if is_broken else binary_dilation(is_lost, iterations=LOST_REACH_STEPS)
+        field = np.where(where, np.minimum(field, (raw - SHELL_STEPS * step).astype(np.float32)), field)
+    field = completed(field, grid.axes, low, high, unseen, empty)
     middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.5 * MIN_THICKNESS_M)
     return SolidField(_grounded(field, grid.axes[2], low[2], step), origin, step, middle - half, middle + half)
+
+
+def _large_parts(nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Nodes of a grid in connected parts of at least `MIN_LOST_NODES`; of the same shape."""
+    from scipy.ndimage import label
+
+    parts, _ = label(nodes, np.ones((3, 3, 3)))
+    is_large = np.bincount(parts.ravel()) >= MIN_LOST_NODES
+    is_large[0] = False
+    return np.asarray(is_large[parts])
+
+
+def _empty_nodes(grid: NodeGrid, asked: NDArray[np.bool_], is_empty: EmptySpace | None) -> NDArray[np.bool_]:
+    """Nodes of a grid that were seen empty, of those that are asked for; both of the grid's shape."""
+    empty = np.zeros(grid.shape, dtype=np.bool_)
+    if is_empty is not None:
+        nodes = np.argwhere(asked)
+        empty[tuple(nodes.T)] = is_empty(grid.origin + grid.step * nodes)
+    return empty
 
 
 def _is_broken(inside: NDArray[np.bool_]) -> bool:
@@ -121,7 +175,7 @@ def _is_broken(inside: NDArray[np.bool_]) -> bool:
 
     lengths = [np.linalg.norm([side.stop - side.start for side in part]) for part in find_objects(label(inside)[0])]
     whole = np.ptp(np.argwhere(inside), axis=0) + 1 if lengths else np.zeros(3)
-    return bool(max(lengths, default=0.0) < MIN_BODY_SHARE * np.linalg.norm(whole))
+    return bool(max(lengths, default=0.0) < MIN_STRIP_SHARE * np.linalg.norm(whole))
 
 
 def _smoothed(crop: Surface, max_edge_m: float) -> Array:
@@ -174,7 +228,9 @@ def closed_mesh(field: SolidField, tolerance: float | None = None) -> tuple[Arra
     nodes, faces = dense_surface(field.values)
     solid = _manifold(field.origin + field.step * nodes, faces)
     whole = _diagonal(solid)
-    kept = [body for body in solid.decompose() if body.volume() > 0 and _diagonal(body) >= MIN_BODY_SHARE * whole]
+    least = max(MIN_BODY_SHARE * whole, MIN_BODY_STEPS * field.step)
+    bodies = [body for body in solid.decompose() if body.volume() > 0]
+    kept = [body for body in bodies if _diagonal(body) >= least] or bodies
     if not kept:
         raise ValueError("the crop encloses nothing")
     solid = manifold3d.Manifold.compose(kept)

@@ -53,8 +53,17 @@ class Unseen:
 NOTHING_UNSEEN = Unseen()
 
 
-def completed(field: Field, axes: Sequence[Array], low: Array, high: Array, unseen: Unseen) -> Field:
-    """The field of a solid, negative inside, with what is unseen of it. axes: of its nodes [m]. low, high: its box with that [m]."""
+def completed(field: Field, axes: Sequence[Array], low: Array, high: Array, unseen: Unseen, empty: Mask | None = None) -> Field:
+    """The field of a solid, negative inside, with what is unseen of it.
+
+    Args:
+        field: signed distance at the nodes [m].
+        axes: coordinates of the nodes along each axis [m].
+        low: lowest corner of the box with what is unseen [m], shape (3,).
+        high: highest corner, as low.
+        unseen: what a scan lacks of the object.
+        empty: nodes that the scan saw empty; bodies are not drawn down into them, legs and poles are, since scans lose these.
+    """
     drawn = field.copy()
     for side in range(4):
         if unseen.sides[side] > 0.0 and unseen.base != "pole":
@@ -64,8 +73,17 @@ def completed(field: Field, axes: Sequence[Array], low: Array, high: Array, unse
     plan = np.asarray((drawn < 0).any(axis=2))
     if unseen.sides[4] > 0.0 and unseen.base == "pole":
         _draw_pole(drawn, axes, low, high)
+    elif unseen.sides[4] > 0.0 and unseen.base == "legs":
+        _draw_down(drawn, axes[2], low[2], plan & _corners(plan))
     elif unseen.sides[4] > 0.0:
-        _draw_down(drawn, axes[2], low[2], plan & _corners(plan) if unseen.base == "legs" else plan)
+        above = drawn.copy()
+        _draw_down(drawn, axes[2], low[2], plan)
+        carved = drawn if empty is None else np.where(empty & (above >= 0), above, drawn)
+        # A solid that does not reach its carrier would be stretched down to it: furniture gets legs, the rest keeps its body.
+        if unseen.stands and not _reaches(carved, axes[2], low[2]):
+            _draw_down(carved, axes[2], low[2], plan & _corners(plan))
+        if _reaches(carved, axes[2], low[2]):
+            drawn = carved
     if unseen.stands and plan.any() and not _stands(drawn, axes, low[2]):
         _draw_down(drawn, axes[2], low[2], plan & _corners(plan))
     return drawn
@@ -109,6 +127,12 @@ def _draw_down(field: Field, heights: Array, bottom: float, plan: Mask) -> None:
     value = np.take_along_axis(field, lowest[:, :, None], axis=2)
     below = (np.arange(len(heights)) < lowest[:, :, None]) & (heights >= bottom - 1e-9) & plan[:, :, None]
     field[below] = np.broadcast_to(value, field.shape)[below]
+
+
+def _reaches(field: Field, heights: Array, bottom: float) -> bool:
+    """True if a solid has nodes within a step of the bottom [m]."""
+    step = float(heights[1] - heights[0])
+    return bool((field[:, :, (heights >= bottom - 1e-9) & (heights <= bottom + step)] < 0).any())
 
 
 def _fill_top(field: Field, axes: Sequence[Array], held: Sequence[tuple[float, float, float, float]]) -> None:

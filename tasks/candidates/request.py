@@ -22,7 +22,7 @@ from tasks.candidates.scan_crop import crop_of, pieces_of_crop
 from tasks.captions.colors import name_colors, word_rgb
 from tasks.geometry.boxes import box_footprint, grown_box
 from tasks.geometry.meshes import Surface, read_points
-from tasks.geometry.transforms import inverse, transform_points
+from tasks.geometry.transforms import inverse, transform_points, translation
 from tasks.library.descriptors import Descriptor, describe
 from tasks.library.search import LibraryMatch
 from tasks.mounting import carried
@@ -30,6 +30,7 @@ from tasks.stage import Context
 from tasks.texturing.views import ColorView
 from tasks.views.crops import Crop
 from tasks.views.crops import crop_of as crop_of_view
+from tasks.views.sightlines import FREE_DISTANCE_M, DepthMap, is_seen_empty
 
 if TYPE_CHECKING:
     import trimesh
@@ -50,9 +51,10 @@ NO_POINTS = "the points of the instance are not among the blobs"
 @dataclasses.dataclass(frozen=True)
 class CandidateRequest:
     """An instance to be stood in for, how the library is searched where one is given, and the scene's objects. frame, mask: Of its best
-    view, as far as they are known. views: Frames that show it, and unseen, why there are none. filled: Assets of slots that are filled
-    already, by slot, for those that paint them. drawn: What providers drew that draw looks, for those that look alike.
-    is_withholding: leaves out the templates that furnish wild rooms. What is computed once for several slots is a property."""
+    view, as far as they are known. views: Frames that show it, and unseen, why there are none. sightlines: Depth maps of the scan.
+    filled: Assets of slots that are filled already, by slot, for those that paint them. drawn: What providers drew that draw looks, for
+    those that look alike. is_withholding: leaves out the templates that furnish wild rooms. What is computed once for several slots is a
+    property."""
 
     instance: Instance
     caption: Caption | None
@@ -63,6 +65,7 @@ class CandidateRequest:
     mask: Mask | None = None
     views: Sequence[ColorView] = ()
     unseen: str = ""
+    sightlines: Sequence[DepthMap] = ()
     filled: dict[int, MadeAsset] = dataclasses.field(default_factory=dict, repr=False, compare=False)
     drawn: dict[ProviderConfig, MadeAsset] = dataclasses.field(default_factory=dict, repr=False, compare=False)
     is_withholding: bool = False
@@ -173,9 +176,20 @@ class CandidateRequest:
         """The solid field of the crop."""
         pose, size = grown_box(self.instance.box_pose, self.instance.box_size, self.instance.hidden_m)
         is_guessed = self.instance.found_by == "geometry" and float(pose[2, 3] - 0.5 * size[2]) <= NEAR_FLOOR_M
-        return solid_field(
-            self.crop, Unseen.of(self.instance.hidden_m, carried(self.category, self.instance.box_size, is_guessed), self.held)
-        )
+        unseen = Unseen.of(self.instance.hidden_m, carried(self.category, self.instance.box_size, is_guessed), self.held)
+        return solid_field(self.crop, unseen, self._is_empty if self.sightlines else None)
+
+    def _is_empty(self, nodes: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Nodes that frames saw empty, shape (n,). nodes: in the frame of the crop [m], shape (n, 3)."""
+        from scipy.spatial import cKDTree
+
+        pose, size = grown_box(self.instance.box_pose, self.instance.box_size, self.instance.hidden_m)
+        is_empty = is_seen_empty(transform_points(nodes, pose @ translation((0, 0, -size[2] / 2))), self.sightlines)
+        index = np.flatnonzero(is_empty)
+        # Sightlines that graze a surface pass close above it.
+        near = cKDTree(self.crop.vertices).query(nodes[index], distance_upper_bound=FREE_DISTANCE_M)[0]
+        is_empty[index[np.isfinite(near)]] = False
+        return is_empty
 
     @cached_property
     def pieces(self) -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:

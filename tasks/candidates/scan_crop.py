@@ -47,7 +47,7 @@ class ScanCrop(Config):
 
     kind: ClassVar[str] = "scan_crop"
     mode: Literal["closed", "pieces"] = "closed"  # the scanned surface closed to a solid, or a few convex pieces that stand for it
-    version: str = "4"  # goes up when the same scan would give another solid
+    version: str = "5"  # goes up when the same scan would give another solid
 
 
 def crop_of(instance: Instance, context: Context) -> Surface:

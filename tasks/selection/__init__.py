@@ -19,20 +19,17 @@ from tasks.selection.looks import shared
 from tasks.selection.methods.geometric import GEOMETRIC, Geometric
 from tasks.selection.methods.members import METHODS, method_of
 from tasks.selection.methods.method import Array, Lacking, MethodConfig, missing
-from tasks.selection.methods.model import ModelScores, wanted
-from tasks.selection.scoring import ScoreConfig, completeness, is_own_geometry, score_of
+from tasks.selection.methods.model import wanted
+from tasks.selection.scoring import ScoreConfig, is_own_geometry, score_of
 from tasks.settings import Config, union_of
 from tasks.stage import Context, Outcome, Stage
 
-__all__ = ["STAGE", "AlignmentConfig", "ScoreConfig", "SelectionConfig", "completeness", "is_own_geometry", "run", "score_of", "scored"]
+__all__ = ["STAGE", "AlignmentConfig", "ScoreConfig", "SelectionConfig", "is_own_geometry", "run", "score_of", "scored"]
 
 if TYPE_CHECKING:
     Provider = MethodConfig
 else:
     Provider = union_of(method.config for method in METHODS)
-
-SHIPPED = ModelScores("small")
-"""The model inside the package, whatever a lake has trained: what is chosen changes when somebody says so."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +37,7 @@ class SelectionConfig(Config):
     """How candidates are aligned and scored."""
 
     alignment: AlignmentConfig = dataclasses.field(default_factory=AlignmentConfig)
-    provider: Provider = dataclasses.field(default_factory=lambda: SHIPPED)  # it wins on rooms that were held out, and needs no torch
+    provider: Provider = dataclasses.field(default_factory=Geometric)  # learned scores choose worse where no candidate is the true model
     score: ScoreConfig = dataclasses.field(default_factory=ScoreConfig)
     beside_m: float = BESIDE_M  # points farther out of the instance's box than its own noise are another object's
     floor_snap_m: float = FLOOR_SNAP_M  # scans bleed: what ends this near the floor stands on it

@@ -33,7 +33,7 @@ from tasks.geometry.boxes import grown_box, oriented_iou
 from tasks.geometry.transforms import inverse, transform_points, translation, yaw_pose
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.selection.neighbors import Neighborhood, foreign_share
-from tasks.selection.scoring import ScoreConfig, completeness, is_own_geometry, score_of
+from tasks.selection.scoring import ScoreConfig, explanation_of, is_own_geometry, score_of, whole_first
 from tasks.stage import Context
 from tasks.views.crops import Crop, crop_of, filling
 
@@ -95,8 +95,8 @@ class Evidence:
     """A candidate, aligned to its instance and measured.
 
     sample: Of the asset's surface, as it is in the lake. fit: Where it stands in the instance's frame. box_iou: Of its placed box and the
-    instance's. color: Likeness of the color histograms. foreign: Share of what was seen in it that is another's. complete: How much of a
-    whole object it shows. own: It is made of the instance's own points. geometric: Its geometric score. All but distances in 0..1.
+    instance's. color: Likeness of the color histograms. foreign: Share of what was seen in it that is another's, or was seen empty.
+    own: It is made of the instance's own points. geometric: Its geometric score. All but distances in 0..1.
     """
 
     candidate: Candidate
@@ -107,7 +107,6 @@ class Evidence:
     box_iou: float
     color: float
     foreign: float
-    complete: float
     own: bool
     geometric: float
 
@@ -149,7 +148,7 @@ def gather(
     )
     described = {row.instance_id: row for row in captions}
     views, shown = {row.frame_id: row for row in frames}, {(row.frame_id, row.instance_id): row for row in masks}
-    neighborhood, score = Neighborhood.of(instances, context.blobs), config.score
+    neighborhood, score = Neighborhood.of(instances, context.blobs, frames), config.score
     queries: list[tuple[InstanceQuery, list[Candidate], float]] = []
     for instance in sorted(instances, key=lambda i: i.instance_id):
         if instance.is_structure:
@@ -223,6 +222,7 @@ def evidence_of(
     reach = np.array([0.5 * target.diagonal, 0.5 * target.diagonal, 0.0])
     beside = neighborhood.within(instance.instance_id, frame[:3, 3] - reach, frame[:3, 3] + reach + [0.0, 0.0, target.size[2]])
     beside, own_cubes = transform_points(beside, inverse(frame)), len(neighborhood.seen.get(instance.instance_id, ()))
+    empty = neighborhood.empty_within(frame, target.size, target.points)
     done: dict[str, tuple[float, float, float]] = {}
     measured: list[Evidence] = []
     for candidate in candidates:
@@ -230,7 +230,7 @@ def evidence_of(
         sample, (fit, distances) = samples[asset_id], fits[asset_id]
         if asset_id not in done:
             placed, normals, _ = sample.placed(fit)
-            foreign = foreign_share(beside, own_cubes, placed, normals)
+            foreign = foreign_share(beside, own_cubes, placed, normals, empty)
             done[asset_id] = (
                 color_similarity(histogram, color_histogram(sample.colors)),
                 _placed_iou(frame, fit, sample, instance),
@@ -239,10 +239,12 @@ def evidence_of(
         color, iou, foreign = done[asset_id]
         asset = assets[asset_id]
         own = is_own_geometry(asset, candidate.provider, score)
-        complete = completeness(asset, own, score)
-        geometric = score_of(distances, iou, color, complete, own, target.diagonal, score, foreign, target.resolution)
-        measured.append(Evidence(candidate, asset, sample, fit, distances, iou, color, foreign, complete, own, geometric))
-    return measured
+        geometric = score_of(distances, iou, color, target.diagonal, score, foreign, target.resolution)
+        measured.append(Evidence(candidate, asset, sample, fit, distances, iou, color, foreign, own, geometric))
+    noise = covered_within(target.diagonal, score.threshold_m, score.threshold_share, score.threshold_least_m)
+    explanations = [explanation_of(each.distances, target.diagonal, noise, score, each.foreign, target.resolution) for each in measured]
+    scores = whole_first(np.array([each.geometric for each in measured]), explanations, [each.own for each in measured], score.whole_margin)
+    return [dataclasses.replace(each, geometric=float(value)) for each, value in zip(measured, scores, strict=True)]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -23,7 +23,18 @@ from bench.selection.foreign import made_house, model_of
 from bench.selection.lineups import OF_SCANNED
 from bench.selection.measures import MeasuredMethod, measured_room, source_digest
 from bench.selection.naming import Naming, naming_report
-from bench.selection.report import DEFAULT, PLAIN, TAUGHT, SelectionBench, margin, run_selection_bench, table_row, top, true_surfaces
+from bench.selection.report import (
+    BUNDLED,
+    DEFAULT,
+    PLAIN,
+    TAUGHT,
+    SelectionBench,
+    margin,
+    run_selection_bench,
+    table_row,
+    top,
+    true_surfaces,
+)
 from bench.selection.rooms import held_out, is_hard, made_room, split_of_room
 from flows.cli import cli
 from flows.run.fingerprints import code_fingerprint
@@ -291,8 +302,8 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
     told: list[str] = []
     report = run_selection_bench(config, told.append)
     assert len(told) == config.steps_of_progress
-    assert set(report["methods"]) == {*PLAIN, DEFAULT, TAUGHT, "small", "blind"}
-    assert set(report["margin"]) == {*PLAIN, DEFAULT, TAUGHT, "blind"}
+    assert set(report["methods"]) == {*PLAIN, DEFAULT, BUNDLED, TAUGHT, "small", "blind"}
+    assert set(report["margin"]) == {*PLAIN, DEFAULT, BUNDLED, TAUGHT, "blind"}
     assert top(report["methods"], TAUGHT) == top(report["methods"], "geometric"), "it chooses among the best alone"
     assert [row["name"] for row in report["trainings"]] == ["small", "blind"]
     assert report["counts"]["rooms"]["test"] == len(config.tested)

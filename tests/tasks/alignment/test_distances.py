@@ -147,21 +147,20 @@ def test_color_similarity_is_a_similarity(first: list[tuple[int, int, int]], sec
 def test_closeness_is_told_no_finer_than_the_scan_is() -> None:
     """A mug's falloff of 4 % is 6 mm; points 3 cm apart cannot tell so much."""
     config, off = ScoreConfig(), Distances(0.01, 0.01, 0.01, 1.0)
-    mug, coarse = (score_of(off, 1, 1, 1, False, 0.15, config, 0.0, resolution) for resolution in (0.0, 0.03))
+    mug, coarse = (score_of(off, 1, 1, 0.15, config, 0.0, resolution) for resolution in (0.0, 0.03))
     assert mug < coarse < 1.0
-    assert score_of(off, 1, 1, 1, False, 2.0, config, 0.0, 0.03) == score_of(off, 1, 1, 1, False, 2.0, config)
+    assert score_of(off, 1, 1, 2.0, config, 0.0, 0.03) == score_of(off, 1, 1, 2.0, config)
 
 
 def test_the_score_is_a_weighted_sum_that_grows_with_every_term() -> None:
     config = ScoreConfig()
-    weights = [config.coverage, config.scan_closeness, config.asset_closeness, config.box_iou, config.color, config.completeness]
+    weights = [config.coverage, config.scan_closeness, config.asset_closeness, config.box_iou, config.color]
     assert sum(weights) == pytest.approx(1.0)
-    best = score_of(Distances(0.0, 0.0, 0.0, 1.0), 1.0, 1.0, 1.0, False, 1.0, config)
+    best = score_of(Distances(0.0, 0.0, 0.0, 1.0), 1.0, 1.0, 1.0, config)
     assert best == pytest.approx(1.0)
     worse = [
-        score_of(Distances(0.1, 0, 0.1, 1), 1, 1, 1, False, 1, config), score_of(Distances(0, 0.1, 0.1, 1), 1, 1, 1, False, 1, config),
-        score_of(Distances(0, 0, 0, 0.5), 1, 1, 1, False, 1, config), score_of(Distances(0, 0, 0, 1), 0.5, 1, 1, False, 1, config),
-        score_of(Distances(0, 0, 0, 1), 1, 0.5, 1, False, 1, config), score_of(Distances(0, 0, 0, 1), 1, 1, 0.4, False, 1, config),
-        score_of(Distances(0, 0, 0, 1), 1, 1, 1, True, 1, config),
+        score_of(Distances(0.1, 0, 0.1, 1), 1, 1, 1, config), score_of(Distances(0, 0.1, 0.1, 1), 1, 1, 1, config),
+        score_of(Distances(0, 0, 0, 0.5), 1, 1, 1, config), score_of(Distances(0, 0, 0, 1), 0.5, 1, 1, config),
+        score_of(Distances(0, 0, 0, 1), 1, 0.5, 1, config), score_of(Distances(0, 0, 0, 1), 1, 1, 1, config, foreign=0.2),
     ]  # fmt: skip
     assert all(0 <= value < best for value in worse)

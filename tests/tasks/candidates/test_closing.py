@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from tasks.candidates.closing import solid_field
+from tasks.candidates.completion import Unseen
 from tasks.candidates.scan_crop import closed_crop, pieces_of_crop
 from tasks.furniture import generate
-from tasks.geometry.meshes import Surface, sample_surface
+from tasks.geometry.meshes import Surface, sample_surface, surface_of
 from tests.tasks.candidates.crops import (
     cabinet_parts,
     crop_of_parts,
@@ -76,3 +78,36 @@ def test_nothing_to_enclose_is_said() -> None:
         closed_crop(speck, solid_field(speck))
     with pytest.raises(ValueError, match="encloses nothing"):
         pieces_of_crop(speck, solid_field(speck))
+
+
+def test_a_sheet_that_is_seen_in_parts_stays_near_its_scan() -> None:
+    """A wavy curtain in five strips with gaps between them: no strip is left out."""
+    rng = np.random.default_rng(4)
+    strips = []
+    for k in range(5):
+        u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 0.16, 9), np.linspace(0.0, 2.2, 111)))
+        across = u + 0.3 * k
+        points = np.column_stack([across, 0.06 * np.sin(14 * across), v]) + rng.normal(0, 0.004, (len(u), 3))
+        a = (np.arange(110)[:, None] * 9 + np.arange(8)).ravel()
+        faces = np.concatenate([np.column_stack([a, a + 1, a + 10]), np.column_stack([a, a + 10, a + 9])])
+        strips.append((points, faces + len(u) * k))
+    vertices = np.concatenate([points for points, _ in strips]) - [0.68, 0.0, 0.0]
+    crop = Surface(vertices, np.concatenate([faces for _, faces in strips]), np.full(vertices.shape, 128, dtype=np.uint8))
+    mesh = closed_crop(crop, solid_field(crop))
+    samples, _, _ = sample_surface(surface_of([mesh]), 40_000, rng)
+    far = cKDTree(samples).query(vertices)[0]
+    assert mesh.is_watertight
+    assert (far <= 0.05).mean() > 0.95
+
+
+def test_space_that_was_seen_empty_is_not_filled() -> None:
+    """Under a table's top that reaches down out of sight, frames saw past: no skirt is drawn down there."""
+    crop = crop_of_parts(cabinet_parts((1.0, 1.0, 0.1)))
+    raised = Surface(crop.vertices + np.array([0.0, 0.0, 0.6]), crop.faces, crop.colors)
+    unseen = Unseen((0.0, 0.0, 0.0, 0.0, 0.6), "body", stands=True)
+    filled = solid_field(raised, unseen)
+    carved = solid_field(raised, unseen, lambda nodes: (np.abs(nodes[:, :2]) < 0.6).all(axis=1) & (nodes[:, 2] < 0.5))
+    below = int(0.3 / filled.step)
+    assert (filled.values[:, :, below] < 0).mean() > 0.5
+    assert (carved.values[:, :, below] < 0).mean() < 0.1
+    assert (carved.values[:, :, 3] < 0).any(), "legs reach the floor"

@@ -19,8 +19,8 @@ from tasks.selection.looks import shared
 from tasks.selection.neighbors import Neighborhood, foreign_share
 from tests.tasks.selection.generated import GEOMETRIC, generated_room
 
-RECORDED = "e43113d580646f3e8bc1ca9e5a62398241a502e69297a4fb5a0be7e3eb2bea4e"
-"""Rows since colors of assets are linear, as glTF has them: their ids are others. Only a change on purpose changes rows."""
+RECORDED = "13007aff63f2ebeb33a8365dc5d2d6c6f8e9bf6b442ae1b016cb0cd673e1c94d"
+"""Rows since one weight counts for all providers. Only a change on purpose changes rows."""
 
 
 def digest(rows: list[Selection]) -> str:
@@ -80,16 +80,15 @@ def test_rows_are_those_of_a_second_computation() -> None:
             overlap = oriented_iou(middle, sample.extents * fit.scale, instance.box_pose, instance.box_size)
             falloff = max(0.04 * long, target.resolution)
             fits = [fitting.coverage, float(np.exp(-fitting.scan / falloff)), float(np.exp(-fitting.asset / falloff))]
-            is_crop = "scan_crop" in candidate.provider or "scan_crop" in asset.provider
-            whole = (0.4 if asset.is_watertight else 0.1) if is_crop else 1.0
-            covered, scan, surface = (min(value, 0.8) if is_crop else value for value in fits)
-            total = 0.25 * covered + 0.2 * scan + 0.2 * surface + 0.1 * overlap + 0.1 * color + 0.15 * whole
+            assert "scan_crop" not in candidate.provider
+            covered, scan, surface = fits
+            total = 0.3 * covered + 0.25 * scan + 0.25 * surface + 0.1 * overlap + 0.1 * color
             rankings[instance.instance_id].append(
                 Selection(
                     scene_id=instance.scene_id, instance_id=instance.instance_id, rank=1, slot=candidate.slot, asset_id=asset.asset_id,
                     score=float(np.clip(total * (1.0 - 0.6 * share), 0.0, 1.0)), chamfer_m=fitting.chamfer, coverage=fitting.coverage,
                     box_iou=overlap, foreign_share=share, color_similarity=color, pose=flat(stands),
-                    scale=tuple(float(v) for v in fit.scale), look=None, provider="geometric", provider_version="5",
+                    scale=tuple(float(v) for v in fit.scale), look=None, provider="geometric", provider_version="6",
                 )
             )  # fmt: skip
     ordered = {}

@@ -49,7 +49,7 @@ def room_of(parts: list, offered: list[list], turn: float = 0.4, view: float | N
 def test_every_method_is_a_choice_of_the_setting_and_the_first_is_the_default() -> None:
     kinds = [method.name for method in METHODS]
     assert kinds == list(SELECTION_METHODS)
-    assert SelectionConfig() == SelectionConfig(provider=ModelScores("small", within=0.05))
+    assert SelectionConfig() == SelectionConfig(provider=Geometric())
     assert SelectionConfig().provider.kind == kinds[0]
     plain = [name for name in kinds if not {"clip", "dinov2", "endpoint"} & set(METHODS[kinds.index(name)].needs)]
     for name in plain:

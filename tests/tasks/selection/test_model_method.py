@@ -165,8 +165,8 @@ def test_weights_that_do_not_fit_their_config_are_refused(room: Room) -> None:
 def test_the_stage_says_which_model_it_wants() -> None:
     assert STAGE.outside == ("model",)
     assert STAGE.model_wanted is not None
-    assert STAGE.model_wanted(SelectionConfig(provider=Geometric())) is None
-    assert STAGE.model_wanted(SelectionConfig()) == WantedModel("selection", "small")
+    assert STAGE.model_wanted(SelectionConfig()) is None
+    assert STAGE.model_wanted(SelectionConfig(provider=ModelScores("small"))) == WantedModel("selection", "small")
     assert STAGE.model_wanted(by_model()) == WantedModel("selection", "")
     assert STAGE.model_wanted(SelectionConfig(provider=ModelScores(model_id="ab12"))) == WantedModel("selection", "ab12")
 
