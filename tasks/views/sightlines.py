@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from schemas.capture import Frame, Instance
 from tasks.geometry.meshes import read_points
-from tasks.geometry.transforms import matrix
+from tasks.geometry.transforms import inverse, matrix
 from tasks.geometry.triangles import distinct_rows
 from tasks.kernels import Kernels, compile_kernels
 
@@ -84,7 +84,7 @@ def depth_views(frames: Sequence[Frame], cubes: Array, edge_m: float) -> list[De
         scale = min(MAP_WIDTH_PX / frame.width, 1.0)
         shape = (max(round(frame.height * scale), 1), max(round(frame.width * scale), 1))
         fx, fy, cx, cy = (value * scale for value in frame.intrinsics)
-        to_camera = np.linalg.inv(matrix(frame.pose or ()))
+        to_camera = inverse(matrix(frame.pose or ()))
         local = np.ascontiguousarray(cubes @ to_camera[:3, :3].T + to_camera[:3, 3])
         depth = np.asarray(_compiled()["_splatted"](local, fx, fy, cx, cy, edge_m, *shape))
         views.append(DepthMap(to_camera, (fx, fy, cx, cy), depth))
