@@ -29,6 +29,8 @@ def with_plausible_height(shape: RoomShape, is_stated: bool) -> tuple[RoomShape,
         return shape, []
     if NO_ROOM in shape.notes:
         return shape, [f"no ceiling seen: height taken from the {shape.height_source}"]
+    if is_stated and shape.height_source == "walls":
+        return shape, []  # drawn and captured rooms state their walls and no ceiling
     # Slanted walls end at the scanned height: with another one they would be steeper.
     if is_stated or shape.slopes or not MIN_SCANNED_M <= shape.height < MIN_ROOM_M:
         return shape, [f"no ceiling seen: height taken from the {shape.height_source}"]
