@@ -34,8 +34,9 @@ from tasks.capture.rooms.heights import with_plausible_height
 from tasks.capture.rooms.leaves import whole_leaves
 from tasks.capture.rooms.lintels import lintels
 from tasks.capture.rooms.openings import wall_openings
+from tasks.capture.rooms.passages import passages
 from tasks.capture.rooms.plausibility import size_notes
-from tasks.capture.rooms.room import estimate_room, floor_points
+from tasks.capture.rooms.room import estimate_room, floor_points, wall_points
 from tasks.capture.rooms.rows import parted
 from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
@@ -345,7 +346,8 @@ def _shell(
     is_door, of_house = [not name[-1].startswith("window") for name in names], [name[0] not in FURNITURE_WITH_DOORS for name in names]
     whole = whole_leaves(*lines, list(fillings.values()), is_door, cloud.points[classes == WALL], of_house)
     leaves = {i: corners for i, corners in zip(fillings, whole, strict=True) if corners is not None and not is_modelled}
-    openings = wall_openings(*lines, list((fillings | leaves).values()), stated.openings)
+    free = passages(cloud, wall_points(cloud, classes), shape.polygon, shape.height)
+    openings = wall_openings(*lines, list((fillings | leaves).values()), [*stated.openings, *free])
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
     doors = [points for points, door in zip((fillings | leaves).values(), is_door, strict=True) if door]
     over = lintels(cloud, classes == WALL, shape.polygon, shape.interior_walls, doors)

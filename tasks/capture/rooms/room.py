@@ -13,8 +13,9 @@ from schemas.capture import Shell
 from tasks.capture.cloud import Cloud
 from tasks.capture.instances.boxes import oriented_box
 from tasks.capture.labels import CEILING, FLOOR, WALL, Label
+from tasks.capture.rooms.outline import snapped_outline
 from tasks.capture.rooms.partitions import interior_walls
-from tasks.capture.rooms.plan import CELL_M, FloorCells, closed, enclosed, largest
+from tasks.capture.rooms.plan import CELL_M, FloorCells, closed, largest
 from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.slopes import Slope, slanted_walls
 from tasks.geometry.boxes import box_footprint
@@ -30,9 +31,6 @@ _MIN_WALL_M2 = 0.4
 
 _LINE_GAP_M = 0.08
 """Lines nearer than this are one wall: thinner walls than that do not exist."""
-
-_WALL_THICKNESS_M = 0.23
-"""Thicker than the walls between rooms usually are."""
 
 _MIN_HEIGHT_M = 1.8
 
@@ -145,7 +143,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
     has_walls = bool((nyu40 == WALL).any()) or min(map(len, lines)) >= 2
     outline, missed = _with_furniture(outline, cloud, kinds, has_walls)
     if has_walls:
-        shape, is_snapped = _snapped(plan, outline, lines, cloud, kinds)
+        shape, is_snapped = snapped_outline(plan, outline, lines, cloud, kinds == WALL)
     else:
         shape, is_snapped = outline.simplify(0.5 * _AROUND_M), False
     if stated is not None and _is_followed(stated, shape):
@@ -179,6 +177,11 @@ def _is_followed(ring: Array, estimated: Geometry) -> bool:
 def floor_points(cloud: Cloud, nyu40: NDArray[np.int64]) -> NDArray[np.float64]:
     """Points of the floor that was seen, labelled or not [m], shape (m, 3). `nyu40`: as for `estimate_room`."""
     return cloud.points[_kinds(cloud, nyu40) == FLOOR]
+
+
+def wall_points(cloud: Cloud, nyu40: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which points are of walls, labelled or not, shape (n,). `nyu40`: as for `estimate_room`."""
+    return np.asarray(_kinds(cloud, nyu40) == WALL)
 
 
 def inferred_room_type(categories: Iterable[str]) -> str:
@@ -332,59 +335,6 @@ def _wall_lines(cloud: Cloud, is_wall: NDArray[np.bool_], axis: int) -> Array:
             near = np.abs(values - position) < 0.04
             lines.append(float(np.average(values[near], weights=areas[near])))
     return np.sort(np.array(lines))
-
-
-def _snapped(plan: FloorCells, outline: Polygon, lines: list[Array], cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[Polygon, bool]:
-    """The outline made of straight edges; along the walls where walls run along the axes.
-
-    The plane is cut at every wall and at every long straight stretch of the outline; the rectangles between that are
-    mostly inside make up the floor, and those that walls face on all sides, though furniture hides their floor. Where that does not fit the
-    outline (walls askew), the outline is only simplified.
-    """
-    import shapely
-
-    simple = outline.simplify(0.12)
-    xs, ys = (_with_outline(lines[axis], simple, axis) for axis in (0, 1))
-    share = plan.filled_share(xs, ys)
-    # A strip no wider than a wall between two walls is that wall, though modelled floors run on below it. Inside the
-    # room such strips are bridged again by the closing below.
-    is_floor = ~_is_wall_strip(xs, lines[0])[:, None] & ~_is_wall_strip(ys, lines[1])
-    chosen = (share > 0.5) & is_floor
-    if min(map(len, lines)) >= 2:
-        hidden = is_floor & ~chosen & enclosed(cloud, kinds == WALL, xs, ys, lines) & (plan.filled_share(xs, ys, is_seen=True) > 0.0)
-        outline = shapely.union_all([outline, *(shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(hidden))])
-        chosen |= hidden
-    boxes = [shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(chosen)]
-    if boxes:
-        # Strips narrower than a wall is thick are floor below a wall, or its recess at a window.
-        shape = largest(closed(closed(shapely.union_all(boxes), 0.2), -0.13))
-        if shape is not None:
-            overlap = shape.intersection(outline).area / shape.union(outline).area
-            if overlap > 0.85:
-                return shape.simplify(0.03), True
-    return shapely.Polygon(simple.exterior), False
-
-
-def _is_wall_strip(positions: Array, walls: Array) -> NDArray[np.bool_]:
-    """Which gaps between consecutive lines lie between two walls and are as narrow as a wall, shape (len(positions) - 1,)."""
-    is_wall = np.isin(positions, walls)
-    return is_wall[:-1] & is_wall[1:] & (np.diff(positions) < _WALL_THICKNESS_M)
-
-
-def _with_outline(lines: Array, outline: Polygon, axis: int) -> Array:
-    """Wall lines, and where no wall is near (0.3 m), the outline's own long edges and extremes; sorted."""
-    corners = np.asarray(outline.exterior.coords)
-    a, b = corners[:-1], corners[1:]
-    other = 1 - axis
-    along = np.abs(b[:, other] - a[:, other])
-    straight = (along > 0.5) & (np.abs(b[:, axis] - a[:, axis]) < 0.15 * along + 0.05)
-    edges = sorted(zip((-along[straight]).tolist(), ((a + b) / 2)[straight, axis].tolist(), strict=True))
-    extremes = [(0.0, float(corners[:, axis].min())), (0.0, float(corners[:, axis].max()))]
-    kept = lines.tolist()
-    for _, position in [*edges, *extremes]:
-        if all(abs(position - other_line) > 0.3 for other_line in kept):
-            kept.append(position)
-    return np.sort(np.array(kept))
 
 
 def _ring(shape: Polygon) -> Array:
