@@ -32,7 +32,8 @@ _MIN_WALL_M2 = 0.4
 _LINE_GAP_M = 0.08
 """Lines nearer than this are one wall: thinner walls than that do not exist."""
 
-_MIN_HEIGHT_M = 1.8
+_MIN_HEIGHT_M, _TOP_PERCENT = 1.8, 99.5
+"""Nothing lower is a ceiling [m]; and what counts as the top of a scan: above lies stray depth."""
 
 _MISSED_SHARE = 0.03
 """Furniture outside of the outline, as a share of it, from which on the outline is too small: bleeding through walls is a percent."""
@@ -72,7 +73,7 @@ class RoomShape:
     polygon: Corners of the floor, counter-clockwise, open ring [m], shape (n, 2). walls: Segments x0, y0, x1, y1 with the
     room to their left [m], shape (m, 4): edges of the polygon, then faces of interior walls. interior_walls: Center lines
     x0, y0, x1, y1, thickness, height [m], shape (k, 6). height [m]. is_seen: where anything but walls was seen, of places shape
-    (m, 2) [m]; None where nobody looked. slopes: slanted walls.
+    (m, 2) [m]; None where nobody looked. slopes: slanted walls. top: how high anything was scanned [m].
     """
 
     polygon: Array
@@ -85,6 +86,7 @@ class RoomShape:
     notes: tuple[str, ...]
     is_seen: Seen | None = None
     slopes: tuple[Slope, ...] = ()
+    top: float = 0.0
 
     def row(
         self, scene_id: str, parts: Sequence[tuple[NDArray[np.uint8], Label]],
@@ -128,6 +130,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
 
     kinds = _kinds(cloud, nyu40)
     height, height_source = _height(cloud, kinds)
+    top = float(np.percentile(cloud.points[:, 2], _TOP_PERCENT))
     plan = FloorCells.of(cloud, kinds, height)
     notes: list[str] = []
     outline, lines = plan.outline(), [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
@@ -139,7 +142,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
         polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         notes.append("no floor to be seen: its polygon is the extent of the scan")
         area, walls, inner = float(np.prod(high - low)), _edges(polygon), np.zeros((0, 6))
-        return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
+        return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes), top=top)
     has_walls = bool((nyu40 == WALL).any()) or min(map(len, lines)) >= 2
     outline, missed = _with_furniture(outline, cloud, kinds, has_walls)
     if has_walls:
@@ -160,7 +163,9 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
     walls = np.array([*_edges(polygon), *(face for slab in slabs for face in slab.faces)])
     inner = np.array([slab.row for slab in slabs]).reshape(-1, 6)
     slopes = slanted_walls(cloud, np.isin(kinds, (WALL, CEILING)), polygon, inner, height)
-    return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more), plan.is_seen, tuple(slopes))
+    return RoomShape(
+        polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more), plan.is_seen, tuple(slopes), top
+    )
 
 
 def _is_followed(ring: Array, estimated: Geometry) -> bool:
@@ -233,7 +238,7 @@ def _height(cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[float, str]:
     walls = z[kinds == WALL]
     if areas[kinds == WALL].sum() > 1.0 and (top := float(np.percentile(walls, 99.7))) > 1.0:
         return top, "walls"
-    return max(float(np.percentile(z, 99.5)), 0.1), "extent"
+    return max(float(np.percentile(z, _TOP_PERCENT)), 0.1), "extent"
 
 
 def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], has_walls: bool) -> tuple[Polygon, float]:
