@@ -33,7 +33,7 @@ from tasks.capture.rooms.alignment import Alignment
 from tasks.capture.rooms.heights import with_plausible_height
 from tasks.capture.rooms.leaves import whole_leaves
 from tasks.capture.rooms.lintels import lintels
-from tasks.capture.rooms.openings import wall_openings
+from tasks.capture.rooms.openings import open_sides, wall_openings
 from tasks.capture.rooms.passages import passages
 from tasks.capture.rooms.plausibility import size_notes
 from tasks.capture.rooms.room import estimate_room, floor_points, wall_points
@@ -222,7 +222,6 @@ FURNITURE_WITH_DOORS = frozenset(
 _PROBES = 400
 """Points of an instance that are tested for visibility: their share is then known to 2 or 3 percent."""
 
-
 _MOST_SENT = 2_000_000
 """Faces of a scan up to which it is sent to other processes, 70 MB for each; textures of a model take longer to send than to use."""
 
@@ -338,9 +337,11 @@ def _shell(
     """The row of the shell, where floor and walls were seen, and of doors and windows that were seen in part, by number, corners of
     the whole [m], shape (8, 3)."""
     shape = estimate_room(cloud, classes, stated.outline)
-    notes += shape.notes
     shape, remarks = with_plausible_height(shape, is_modelled or stated.has_height)
-    notes += remarks
+    notes += [*shape.notes, *remarks]
+    parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
+    if not shape.is_room:  # a scan of things
+        return shape.row(scene_id, parts, open_sides(shape.polygon, shape.height), ()), None, {}
     fillings = {i: solids[i].points for i, label in enumerate(meanings) if label.nyu40_id in (DOOR, WINDOW) or _is_let_in(label)}
     lines, names = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].category.split() for i in fillings]
     is_door, of_house = [not name[-1].startswith("window") for name in names], [name[0] not in FURNITURE_WITH_DOORS for name in names]
@@ -348,7 +349,6 @@ def _shell(
     leaves = {i: corners for i, corners in zip(fillings, whole, strict=True) if corners is not None and not is_modelled}
     free = passages(cloud, wall_points(cloud, classes), shape.polygon, shape.height)
     openings = wall_openings(*lines, list((fillings | leaves).values()), [*stated.openings, *free])
-    parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
     doors = [points for points, door in zip((fillings | leaves).values(), is_door, strict=True) if door]
     over = lintels(cloud, classes == WALL, shape.polygon, shape.interior_walls, doors)
     return shape.row(scene_id, parts, openings, over), shape.is_seen, leaves

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from tasks.capture.rooms.room import NO_ROOM, RoomShape
+from tasks.capture.rooms.room import RoomShape
 
 MIN_SCANNED_M, MIN_FLOOR_M2 = 1.0, 4.0
 """What is lower [m] and has a smaller floor [m2] is a table with its surroundings, not the lower half of a room."""
@@ -30,8 +30,8 @@ def with_plausible_height(shape: RoomShape, is_stated: bool) -> tuple[RoomShape,
     """
     if shape.height_source == "ceiling":
         return shape, []
-    if NO_ROOM in shape.notes:
-        return shape, [f"no ceiling seen: height taken from the {shape.height_source}"]
+    if not shape.is_room:
+        return shape, []
     if is_stated and shape.height_source == "walls":
         return shape, []  # drawn and captured rooms state their walls and no ceiling
     # Slanted walls end at the scanned height: with another one they would be steeper.

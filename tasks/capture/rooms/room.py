@@ -59,8 +59,11 @@ _MIN_SLANT_DEGREES, _MIN_SLANTED_M = 8.0, 0.2
 _MIN_SAME_SHARE = 0.85
 """Share of the ground of a stated floor and an estimated one that both cover, from which on the stated one is the whole floor."""
 
-NO_ROOM = "not a room: no walls are in the scan; those of its replica stand around the floor and the objects that it shows"
-"""Said of scans of things: a figure on a plate, a table."""
+NO_ROOM = "not a room"
+"""Begins the note on scans of things: a figure on a plate, a table."""
+
+_UPRIGHT, _UPRIGHT_M2 = 0.3, 1.2
+"""Most vertical part of the normal of upright surface; and such surface from which on a scan has sides as large as a wall [m2]."""
 
 _TALL_M = 1.2
 """Upright surface that nobody named is a wall where it is as high in one place: furniture behind it stands in another room."""
@@ -74,6 +77,7 @@ class RoomShape:
     room to their left [m], shape (m, 4): edges of the polygon, then faces of interior walls. interior_walls: Center lines
     x0, y0, x1, y1, thickness, height [m], shape (k, 6). height [m]. is_seen: where anything but walls was seen, of places shape
     (m, 2) [m]; None where nobody looked. slopes: slanted walls. top: how high anything was scanned [m].
+    is_room: false for a scan of things, which has no walls.
     """
 
     polygon: Array
@@ -87,6 +91,7 @@ class RoomShape:
     is_seen: Seen | None = None
     slopes: tuple[Slope, ...] = ()
     top: float = 0.0
+    is_room: bool = True
 
     def row(
         self, scene_id: str, parts: Sequence[tuple[NDArray[np.uint8], Label]],
@@ -134,15 +139,16 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
     plan = FloorCells.of(cloud, kinds, height)
     notes: list[str] = []
     outline, lines = plan.outline(), [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
-    if not (nyu40 == WALL).any() and not any(map(len, lines)):
-        notes.append(NO_ROOM)
+    is_room = bool((nyu40 == WALL).any()) or (any(map(len, lines)) and _looks_inward(cloud, kinds == WALL))
+    if not is_room:
+        notes.append(_not_a_room(cloud))
     if outline is None:
         low, high = (np.percentile(cloud.points[:, :2], q, axis=0) for q in (0.5, 99.5))
         high = np.maximum(high, low + 0.2)
         polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         notes.append("no floor to be seen: its polygon is the extent of the scan")
-        area, walls, inner = float(np.prod(high - low)), _edges(polygon), np.zeros((0, 6))
-        return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes), top=top)
+        area, walls, inner = float(np.prod(high - low)), _edges(polygon) if is_room else np.zeros((0, 4)), np.zeros((0, 6))
+        return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes), top=top, is_room=is_room)
     has_walls = bool((nyu40 == WALL).any()) or min(map(len, lines)) >= 2
     outline, missed = _with_furniture(outline, cloud, kinds, has_walls)
     if has_walls:
@@ -159,13 +165,30 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
     polygon = _ring(shape)
     seen = plan.share_of_floor(shape)
     source = "surface" if seen >= 0.25 else ("walls" if is_snapped and any(len(side_lines) for side_lines in lines) else "extent")
+    area = float(shape.area)
+    if not is_room:
+        walls, inner = np.zeros((0, 4)), np.zeros((0, 6))
+        return RoomShape(polygon, area, source, walls, inner, height, height_source, tuple(notes), plan.is_seen, top=top, is_room=False)
     slabs, more = interior_walls(cloud, kinds == WALL, shape, height, plan.is_floor)
     walls = np.array([*_edges(polygon), *(face for slab in slabs for face in slab.faces)])
     inner = np.array([slab.row for slab in slabs]).reshape(-1, 6)
-    slopes = slanted_walls(cloud, np.isin(kinds, (WALL, CEILING)), polygon, inner, height)
-    return RoomShape(
-        polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more), plan.is_seen, tuple(slopes), top
-    )
+    slopes = tuple(slanted_walls(cloud, np.isin(kinds, (WALL, CEILING)), polygon, inner, height))
+    return RoomShape(polygon, area, source, walls, inner, height, height_source, (*notes, *more), plan.is_seen, slopes, top)
+
+
+def _not_a_room(cloud: Cloud) -> str:
+    """The note on a scan without walls, with the reason."""
+    upright_m2 = float(cloud.areas[np.abs(cloud.normals[:, 2]) < _UPRIGHT].sum())
+    sides = f"its {upright_m2:.1f} m2 of upright surface are sides of what stands there, not walls around it"
+    reason = sides if upright_m2 >= _UPRIGHT_M2 else "nothing upright in it is as large as a wall"
+    return f"{NO_ROOM}: {reason}: handled as a scan of objects on a floor without walls"
+
+
+def _looks_inward(cloud: Cloud, is_wall: NDArray[np.bool_]) -> bool:
+    """True if most upright surface that nobody named looks to the middle of the scan, as walls do and the sides of a thing do not."""
+    middle = np.average(cloud.points[:, :2], axis=0, weights=cloud.areas + 1e-12)
+    inward = ((middle - cloud.points[is_wall, :2]) * cloud.normals[is_wall, :2]).sum(axis=1) > 0.0
+    return bool(cloud.areas[is_wall] @ inward >= 0.5 * cloud.areas[is_wall].sum())
 
 
 def _is_followed(ring: Array, estimated: Geometry) -> bool:

@@ -11,8 +11,10 @@ import trimesh
 from tasks.capture import CaptureConfig, find_scans, run
 from tasks.capture.rooms.heights import ASSUMED_M, with_plausible_height
 from tasks.capture.rooms.plausibility import size_notes
-from tasks.capture.rooms.room import NO_ROOM, RoomShape
+from tasks.capture.rooms.room import RoomShape
 from tasks.geometry.meshes import Surface, surface_of
+from tasks.optimization.support.walls import wall_faces
+from tasks.shell import room_shell
 from tasks.stage import Context, Outcome
 from tests.capture_scans import BoxRoom, box_room, ply_bytes, write_scannet
 
@@ -55,11 +57,11 @@ def test_a_room_that_ends_below_any_ceiling_gets_a_stated_height(
     assert any("is assumed" in note for note in outcome.degradations) == (source == "assumed")
 
 
-def shape_of(height: float, source: str, top: float, area: float = 12.0, notes: tuple[str, ...] = ()) -> RoomShape:
+def shape_of(height: float, source: str, top: float, area: float = 12.0, is_room: bool = True) -> RoomShape:
     """A room whose walls end at a height, and in which anything reaches a top [m]."""
     polygon = np.array([[0.0, 0.0], [area / 3, 0.0], [area / 3, 3.0], [0.0, 3.0]])
     inner = np.array([[1.0, 0.0, 1.0, 2.0, 0.1, height], [2.0, 0.0, 2.0, 2.0, 0.1, 0.5]])
-    return RoomShape(polygon, area, "surface", np.zeros((0, 4)), inner, height, source, notes, top=top)
+    return RoomShape(polygon, area, "surface", np.zeros((0, 4)), inner, height, source, (), top=top, is_room=is_room)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +87,7 @@ def test_an_assumed_height_is_never_below_the_scan(height: float, source: str, t
 
 def test_what_is_no_room_or_is_stated_keeps_its_height() -> None:
     assert with_plausible_height(shape_of(0.8, "extent", 0.8, area=1.5), is_stated=False)[0].height == 0.8
-    assert with_plausible_height(shape_of(1.5, "extent", 1.5, notes=(NO_ROOM,)), is_stated=False)[0].height == 1.5
+    assert with_plausible_height(shape_of(1.5, "extent", 1.5, is_room=False), is_stated=False)[0].height == 1.5
     shape, notes = with_plausible_height(shape_of(1.9, "walls", 1.9), is_stated=True)
     assert (shape.height, shape.height_source, notes) == (1.9, "walls", [])
 
@@ -119,7 +121,11 @@ def test_a_figure_on_a_plate_is_reported_as_not_a_room(tmp_path: Path) -> None:
     (tmp_path / "scans" / "figure.ply").write_bytes(ply_bytes(surface))
     outcome = captured(tmp_path / "scans")
     assert sum(note.startswith("not a room: ") for note in outcome.degradations) == 1
-    assert outcome.rows["shells"][0].height_m < 2.0, "nothing is assumed of a room that is none"
+    (shell,) = outcome.rows["shells"]
+    assert shell.height_m < 2.0, "nothing is assumed of a room that is none"
+    assert shell.walls == ()
+    assert [name for name, _ in room_shell(shell)] == ["floor"]
+    assert not wall_faces(shell)
 
 
 def test_a_room_is_a_room(tmp_path: Path) -> None:
