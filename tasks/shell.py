@@ -40,7 +40,7 @@ def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str
     on there. A wall with doors or windows
     is cut into convex pieces, `wall_00`, `wall_00_1`, ..., of which the last are the wedges that slanted walls leave below the ceiling:
     openings of outer walls are niches as deep as what fills them, closed by a thin panel; those without a filling and those of interior
-    walls go through. Colors are the scan's, where it shows any.
+    walls go through. Nothing is left of a wall that is one opening from the floor to the ceiling. Colors are the scan's if it shows any.
 
     Raises:
         InputError: the floor polygon has no area or crosses itself, or an interior wall has no size.
@@ -72,6 +72,9 @@ def wall_of(part: str) -> str:
 _Piece = tuple[NDArray[np.float64], float, float]
 """A convex footprint seen from above [m], shape (n, 2), counter-clockwise, with the heights of its bottom and top [m]."""
 
+_Span = tuple[float, float, float, float, float]
+"""An opening of a wall: from where to where along it, heights of bottom and top, how deep what fills it is [m]."""
+
 
 def _named(name: str, pieces: list[_Piece], color: tuple[int, ...]) -> list[tuple[str, trimesh.Trimesh]]:
     return [(f"{name}_{i}" if i else name, _prism_of_ring(*piece, color)) for i, piece in enumerate(pieces)]
@@ -85,16 +88,11 @@ def _cut(
     the room, shape (n, 2), is not on the other side, too."""
     length = float(np.linalg.norm(end - start))
     along = (end - start) / length
-    spans = []
-    for opening in openings:
-        ends = np.asarray(opening, dtype=np.float64)[:4].reshape(2, 2) - start
-        low, high = sorted(float(point @ along) for point in ends)
-        off = np.abs(ends @ [-along[1], along[0]]).max()
-        if off < _ON_LINE_M and low > -_ON_LINE_M and high < length + _ON_LINE_M and high - low > _LEAST_M:
-            span = (max(low, 0.0), min(high, length), max(float(opening[4]), 0.0), min(float(opening[5]), height), float(opening[6]))
-            spans += [span] if span[3] - span[2] > _LEAST_M else []
+    spans = _spans(start, end, height, openings)
     if not spans:
         return [(corners, 0.0, height)]
+    if shell is not None and _is_open(spans, length, height):
+        return []  # its miters would stay as posts
     # an opening that reaches a corner leaves the wall's miter there
     cuts = sorted({0.0 if cut <= _LEAST_M else min(cut, length) for span in spans for cut in span[:2]})
     pieces: list[_Piece] = []
@@ -133,6 +131,31 @@ def _wedges(start: NDArray[np.float64], end: NDArray[np.float64], room: Shell) -
         faces = [[0, 2, 1], [3, 4, 5], [0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]]
         wedges.append(trimesh.Trimesh(corners, faces, process=False))
     return wedges
+
+
+def is_open_side(room: Shell, start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
+    """True if a side of the floor, with ends of shape (2,) [m], is one opening from the floor to the ceiling: no wall stands there."""
+    return _is_open(_spans(start, end, room.height_m, room.openings or ()), float(np.linalg.norm(end - start)), room.height_m)
+
+
+def _is_open(spans: Sequence[_Span], length: float, height: float) -> bool:
+    """True if one of the openings of a wall is all of it, and nothing fills it."""
+    return any(s[0] <= _LEAST_M and s[1] >= length - _LEAST_M and s[2] <= _LEAST_M and s[3:] == (height, 0.0) for s in spans)
+
+
+def _spans(start: NDArray[np.float64], end: NDArray[np.float64], height: float, openings: Sequence[Sequence[float]]) -> list[_Span]:
+    """The openings on a wall's line from start to end [m]."""
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / length
+    spans: list[_Span] = []
+    for opening in openings:
+        ends = np.asarray(opening, dtype=np.float64)[:4].reshape(2, 2) - start
+        low, high = sorted(float(point @ along) for point in ends)
+        off = np.abs(ends @ [-along[1], along[0]]).max()
+        if off < _ON_LINE_M and low > -_ON_LINE_M and high < length + _ON_LINE_M and high - low > _LEAST_M:
+            span = (max(low, 0.0), min(high, length), max(float(opening[4]), 0.0), min(float(opening[5]), height), float(opening[6]))
+            spans += [span] if span[3] - span[2] > _LEAST_M else []
+    return spans
 
 
 _ON_LINE_M = 0.002

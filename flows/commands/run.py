@@ -14,6 +14,7 @@ import click
 from flows.commands.options import configuration_options, json_option, lake_option, scans_options, workers_option
 from flows.run.fanout.runners import RUNNERS
 from schemas.wording import counted
+from schemas.wording.notes import condensed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -147,15 +148,16 @@ def carry_out(plan: Plan, store: Lake, configuration: Configuration, **parameter
 
 
 MAX_NOTES = 20
-"""Degradations that are printed; all of them are in the table `stage_runs`."""
+"""Notes that are printed, at most ten of them on a scan; all degradations are in the table `stage_runs`."""
 
 
 def tell(report: RunReport) -> None:
-    """Failures and degradations on standard error, a line each."""
-    for line in report.degradations[:MAX_NOTES]:
+    """Failures and notes on standard error, a line each; degradations of one kind are one note."""
+    notes = condensed(report.degradations)
+    for line in notes[:MAX_NOTES]:
         print(f"note: {line}", file=sys.stderr)
-    if len(report.degradations) > MAX_NOTES:
-        print(f"note: and {len(report.degradations) - MAX_NOTES} more in stage_runs.degradations", file=sys.stderr)
+    if len(notes) > MAX_NOTES:
+        print(f"note: and {len(notes) - MAX_NOTES} more in stage_runs.degradations", file=sys.stderr)
     for line in _same(report.same):
         print(f"note: {line}", file=sys.stderr)
     for line in report.failures:

@@ -8,6 +8,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 from flows.run.plan import Plan
+from schemas.wording.notes import is_expected
 
 if TYPE_CHECKING:
     from flows.run.fanout.coordinator import RunOutcome
@@ -92,7 +93,8 @@ def report_of(
     anew += [line for scene, line in lines if scene in computed]
     degradations = {r.scene_id: r.degradations for r in results}
     notes = [line for line in plan.left_out if not _is_told(line, plan.same, degradations)]  # first: of what follows most is cut off
-    notes += [text for r in results for text in r.degradations]
+    # Conditions of every scan of a kind stay in the lake alone.
+    notes += [text for r in results for text in r.degradations if not is_expected(text)]
     settled = computed | failed | shared | postponed
     return RunReport(
         done=tuple(r.scene_id for r in results if not r.failed),

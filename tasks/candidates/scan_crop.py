@@ -17,6 +17,7 @@ from tasks.geometry.boxes import grown_box
 from tasks.geometry.meshes import Surface, surface_of_glb
 from tasks.geometry.transforms import inverse, translation
 from tasks.geometry.triangles import surface_area
+from tasks.mounting import mounting
 from tasks.settings import Config
 
 if TYPE_CHECKING:
@@ -35,6 +36,9 @@ MAX_CROP_FACES = 60_000
 
 SPILL = 0.15
 """Share of the box's size by which a crop may stick out of it; what lies farther is a stray piece of a neighbor."""
+
+BOX_FACES, CORNER_M = 12, 1e-3
+"""A drawn box has two triangles on each side, and no vertex but its corners [m]."""
 
 EDGE_SHARE, MIN_EDGE_M = 0.06, 0.02
 """Longest edge of the colored surface over convex pieces, as a share of its diagonal, and its floor: finer than the
@@ -130,6 +134,21 @@ def pieces_of_crop(crop: Surface, field: SolidField) -> tuple[trimesh.Trimesh, l
     return surface, pieces
 
 
+def is_stand_in(crop: Surface, category: str) -> bool:
+    """True if a crop is a plain box of furniture that does not fill its box: a table would be a solid block.
+
+    Args:
+        crop: faces in the frame of the instance's box [m].
+        category: of the instance.
+    """
+    kind = mounting(category)
+    if kind.base is None or kind.is_boxy or len(crop.faces) != BOX_FACES:
+        return False
+    low, high = crop.bounds
+    to_side = np.minimum(np.abs(crop.vertices - low), np.abs(crop.vertices - high))
+    return bool((to_side <= CORNER_M).all()) and bool((high - low > CORNER_M).all())
+
+
 def _label(provider: ScanCrop) -> str:
     return f"{ScanCrop.kind}_{provider.mode}"
 
@@ -138,6 +157,8 @@ def crop_asset(request: CandidateRequest, provider: ScanCrop) -> MadeAsset:
     """The asset made of the instance's own faces."""
     if request.instance.mesh_blob is None:
         raise NothingToOffer("the scan has no faces of the instance")
+    if is_stand_in(request.crop, request.category):
+        raise NothingToOffer(f"the scan has the box of the {request.category} alone, which is no shape of it")
     surface, pieces = request.pieces  # the closed crop collides as its pieces do: they are known, and cheap
     closed = closed_crop(request.crop, request.field) if provider.mode == "closed" else None
     made = make_asset(

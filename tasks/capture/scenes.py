@@ -33,9 +33,10 @@ from tasks.capture.rooms.alignment import Alignment
 from tasks.capture.rooms.heights import with_plausible_height
 from tasks.capture.rooms.leaves import whole_leaves
 from tasks.capture.rooms.lintels import lintels
-from tasks.capture.rooms.openings import wall_openings
+from tasks.capture.rooms.openings import open_sides, wall_openings
+from tasks.capture.rooms.passages import passages
 from tasks.capture.rooms.plausibility import size_notes
-from tasks.capture.rooms.room import estimate_room, floor_points
+from tasks.capture.rooms.room import estimate_room, floor_points, wall_points
 from tasks.capture.rooms.rows import parted
 from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
@@ -221,7 +222,6 @@ FURNITURE_WITH_DOORS = frozenset(
 _PROBES = 400
 """Points of an instance that are tested for visibility: their share is then known to 2 or 3 percent."""
 
-
 _MOST_SENT = 2_000_000
 """Faces of a scan up to which it is sent to other processes, 70 MB for each; textures of a model take longer to send than to use."""
 
@@ -337,16 +337,18 @@ def _shell(
     """The row of the shell, where floor and walls were seen, and of doors and windows that were seen in part, by number, corners of
     the whole [m], shape (8, 3)."""
     shape = estimate_room(cloud, classes, stated.outline)
-    notes += shape.notes
     shape, remarks = with_plausible_height(shape, is_modelled or stated.has_height)
-    notes += remarks
+    notes += [*shape.notes, *remarks]
+    parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
+    if not shape.is_room:  # a scan of things
+        return shape.row(scene_id, parts, open_sides(shape.polygon, shape.height), ()), None, {}
     fillings = {i: solids[i].points for i, label in enumerate(meanings) if label.nyu40_id in (DOOR, WINDOW) or _is_let_in(label)}
     lines, names = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].category.split() for i in fillings]
     is_door, of_house = [not name[-1].startswith("window") for name in names], [name[0] not in FURNITURE_WITH_DOORS for name in names]
     whole = whole_leaves(*lines, list(fillings.values()), is_door, cloud.points[classes == WALL], of_house)
     leaves = {i: corners for i, corners in zip(fillings, whole, strict=True) if corners is not None and not is_modelled}
-    openings = wall_openings(*lines, list((fillings | leaves).values()), stated.openings)
-    parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
+    free = passages(cloud, wall_points(cloud, classes), shape.polygon, shape.height)
+    openings = wall_openings(*lines, list((fillings | leaves).values()), [*stated.openings, *free])
     doors = [points for points, door in zip((fillings | leaves).values(), is_door, strict=True) if door]
     over = lintels(cloud, classes == WALL, shape.polygon, shape.interior_walls, doors)
     return shape.row(scene_id, parts, openings, over), shape.is_seen, leaves

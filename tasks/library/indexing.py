@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.candidates import Asset
+from schemas.candidates import Asset, TextureCharts
 from schemas.errors import InputError, LakeError
+from schemas.record import check
 from schemas.text import one_line
 from tasks.candidates.assets import MAX_EXTENT_M, MIN_EXTENT_M, MadeAsset, charted, make_asset
 from tasks.captions.physics import known_name
@@ -123,6 +124,7 @@ def _asset(parts: list[trimesh.Trimesh], file: str, name: str, category: str, fa
 
     Raises:
         InputError: they are none, most often for want of faces.
+        RecordError: a table refuses a value of the asset.
     """
     source, license_, author = facts.source_url or file, facts.license.name, facts.author or None
     try:
@@ -132,7 +134,11 @@ def _asset(parts: list[trimesh.Trimesh], file: str, name: str, category: str, fa
         )  # fmt: skip
     except ValueError as error:
         raise InputError(file, "meshes", str(error), "export it with its geometry") from error
-    return charted(made, parts)
+    made = charted(made, parts)
+    # A value that a table refuses leaves this file out, not the whole library.
+    check([made.asset], Asset)
+    check([made.charts] if made.charts is not None else [], TextureCharts)
+    return made
 
 
 PROVIDER = "library"

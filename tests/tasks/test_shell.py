@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.capture import Shell
-from tasks.capture.rooms.openings import wall_openings
+from tasks.capture.rooms.openings import open_sides, wall_openings
 from tasks.optimization.solids import shell_solids
-from tasks.shell import ShellConfig, room_shell, wall_of
+from tasks.shell import ShellConfig, is_open_side, room_shell, wall_of
 from tests.replicas import room_of
 
 SQUARE = ((0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0))
@@ -218,3 +218,14 @@ def test_two_leaves_that_overlap_are_one_opening() -> None:
 )
 def test_what_fills_no_wall_opens_none(points: np.ndarray, why: str) -> None:
     assert wall_openings(np.array(SQUARE), NONE, HEIGHT, [points]) == (), why
+
+
+def test_nothing_is_left_of_walls_that_are_openings() -> None:
+    """A floor without walls around it: no posts in the corners, no solids, and the other walls stay if only one side is open."""
+    sides = open_sides(np.array(SQUARE), HEIGHT)
+    free = dataclasses.replace(cut([]), openings=sides)
+    assert [name for name, _ in room_shell(free)] == ["floor"]
+    assert shell_solids(free) == ()
+    one = dataclasses.replace(cut([]), openings=sides[1:2])
+    assert {wall_of(name) for name, _ in room_shell(one)} == {"floor", "wall_00", "wall_02", "wall_03"}
+    assert [is_open_side(one, np.array(SQUARE[k]), np.array(SQUARE[(k + 1) % 4])) for k in range(4)] == [False, True, False, False]

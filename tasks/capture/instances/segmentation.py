@@ -17,6 +17,7 @@ from tasks.capture.instances.naming import PROVIDER, UNKNOWN, ShapeNamingConfig,
 from tasks.capture.instances.regions import RegionConfig, merged_regions, region_segments
 from tasks.capture.instances.resolution import Evened, evened, is_uneven
 from tasks.capture.instances.structure import FLOOR_BAND_M, SLIVER_M, RoomPlane, outward, structure_of
+from tasks.capture.instances.things import joined_bodies
 from tasks.capture.reading import Group, groups_of
 from tasks.geometry.meshes import Surface
 from tasks.geometry.triangles import face_areas, vertex_normals
@@ -104,7 +105,10 @@ def _segmented(world: Surface, config: SegmentationConfig, materials: Indices | 
     if any(plane.category == "floor" for plane in planes):
         segments[surface.vertices[:, 2] < -FLOOR_BAND_M] = -1  # what lies below the floor was seen in a mirror, or is noise
     region = merged_regions(surface, normals, areas, segments, config.regions, is_room=bool(planes))
-    return _Segmented(even, normals, areas, _with_slivers(planes, surface.vertices[:, 2], region), region)
+    planes = _with_slivers(planes, surface.vertices[:, 2], region)
+    if [plane.category for plane in planes] == ["floor"]:
+        region = joined_bodies(surface, normals, region)
+    return _Segmented(even, normals, areas, planes, region)
 
 
 def _with_slivers(planes: list[RoomPlane], z: Array, region: Indices) -> list[RoomPlane]:

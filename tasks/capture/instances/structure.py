@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +98,11 @@ def structure_of(points: Array, normals: Array, areas: Array) -> list[RoomPlane]
     if not len(floor):
         return planes  # a thing of its own, or a part of a room: what is upright may be a side of furniture
     top = float(np.percentile(z, 99))
-    for wall in _walls(points, normals, areas, free, min(WALL_TOP_M, top - UNDER_CEILING_M)):
+    walls = _walls(points, normals, areas, free, min(WALL_TOP_M, top - UNDER_CEILING_M))
+    has_ceiling = any(plane.category == "ceiling" for plane in planes)
+    if walls and not has_ceiling and not _enclose(walls, points, normals, areas):
+        return planes  # sides of what stands on the floor: a figure, a booth
+    for wall in walls:
         take("wall", wall)
     for slope in _slopes(points, normals, areas, free, min(SLOPE_TOP_M, top - UNDER_CEILING_M)):
         take("wall", slope)
@@ -154,6 +159,21 @@ def _walls(points: Array, normals: Array, areas: Array, free: Mask, reach: float
                 walls.append(np.union1d(members[patch], flat))
                 free[walls[-1]] = False
     return walls
+
+
+def _enclose(walls: Sequence[Indices], points: Array, normals: Array, areas: Array) -> bool:
+    """True if walls are around what was scanned: one has hardly anything behind it, or most of their surface looks to the middle."""
+    middle = np.average(points[:, :2], axis=0, weights=areas)
+    total, inward, outward_m2 = float(areas.sum()), 0.0, 0.0
+    for members in walls:
+        normal = areas[members] @ normals[members, :2]
+        normal /= max(float(np.linalg.norm(normal)), 1e-12)
+        place = float(np.average(points[members, :2] @ normal, weights=areas[members] + 1e-12))
+        if areas[points[:, :2] @ normal < place - BEHIND_M].sum() < OUTER_SHARE * total:
+            return True
+        inward += float(areas[members].sum()) * float(middle @ normal > place)
+        outward_m2 += float(areas[members].sum()) * float(middle @ normal <= place)
+    return inward > outward_m2
 
 
 def _slopes(points: Array, normals: Array, areas: Array, free: Mask, reach: float) -> list[Indices]:

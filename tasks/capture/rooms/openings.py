@@ -92,6 +92,12 @@ def wall_openings(
     return tuple(rows)
 
 
+def open_sides(polygon: Array, height: float) -> tuple[tuple[float, ...], ...]:
+    """Openings, as `wall_openings` has them, that leave nothing of the outer walls: of a floor that no walls are around."""
+    ends = zip(polygon.tolist(), np.roll(polygon, -1, axis=0).tolist(), strict=True)
+    return tuple((*start, *end, 0.0, height, 0.0) for start, end in ends)
+
+
 def _line(a: Array, b: Array, reach: float) -> WallLine:
     length = float(np.hypot(*(b - a)))
     along = (b - a) / length

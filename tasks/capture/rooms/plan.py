@@ -14,7 +14,7 @@ from tasks.capture.cloud import Cloud
 from tasks.capture.labels import FLOOR, WALL
 
 if TYPE_CHECKING:
-    from shapely import Polygon
+    from shapely import Geometry, Polygon
 
 Array = NDArray[np.float64]
 
@@ -87,6 +87,17 @@ class FloorCells:
             ys = self.origin[1] + np.column_stack([np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)]) * CELL_M
             boxes += [shapely.box(x, low, x + CELL_M, high) for low, high in ys]
         return largest(closed(shapely.union_all(boxes), (_BRIDGE_CELLS + 0.1) * CELL_M))
+
+    def without(self, shape: Geometry) -> FloorCells:
+        """The plan without the cells whose middles lie in a shape."""
+        import shapely
+
+        if shape.is_empty:
+            return self
+        xs, ys = (self.origin[axis] + (np.arange(self.inside.shape[axis]) + 0.5) * CELL_M for axis in (0, 1))
+        x, y = np.meshgrid(xs, ys, indexing="ij")
+        rest = ~shapely.contains_xy(shape, x, y)
+        return dataclasses.replace(self, inside=self.inside & rest, floor=self.floor & rest, seen=self.seen & rest)
 
     def share_of_floor(self, shape: Polygon) -> float:
         """Share of a polygon in whose cells the floor itself is seen."""

@@ -13,8 +13,9 @@ from schemas.capture import Shell
 from tasks.capture.cloud import Cloud
 from tasks.capture.instances.boxes import oriented_box
 from tasks.capture.labels import CEILING, FLOOR, WALL, Label
+from tasks.capture.rooms.outline import snapped_outline
 from tasks.capture.rooms.partitions import interior_walls
-from tasks.capture.rooms.plan import CELL_M, FloorCells, closed, enclosed, largest
+from tasks.capture.rooms.plan import CELL_M, FloorCells, closed, largest
 from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.slopes import Slope, slanted_walls
 from tasks.geometry.boxes import box_footprint
@@ -31,10 +32,8 @@ _MIN_WALL_M2 = 0.4
 _LINE_GAP_M = 0.08
 """Lines nearer than this are one wall: thinner walls than that do not exist."""
 
-_WALL_THICKNESS_M = 0.23
-"""Thicker than the walls between rooms usually are."""
-
-_MIN_HEIGHT_M = 1.8
+_MIN_HEIGHT_M, _TOP_PERCENT = 1.8, 99.5
+"""Nothing lower is a ceiling [m]; and what counts as the top of a scan: above lies stray depth."""
 
 _MISSED_SHARE = 0.03
 """Furniture outside of the outline, as a share of it, from which on the outline is too small: bleeding through walls is a percent."""
@@ -60,8 +59,11 @@ _MIN_SLANT_DEGREES, _MIN_SLANTED_M = 8.0, 0.2
 _MIN_SAME_SHARE = 0.85
 """Share of the ground of a stated floor and an estimated one that both cover, from which on the stated one is the whole floor."""
 
-NO_ROOM = "not a room: no walls are in the scan; those of its replica stand around the floor and the objects that it shows"
-"""Said of scans of things: a figure on a plate, a table."""
+NO_ROOM = "not a room"
+"""Begins the note on scans of things: a figure on a plate, a table."""
+
+_UPRIGHT, _UPRIGHT_M2 = 0.3, 1.2
+"""Most vertical part of the normal of upright surface; and such surface from which on a scan has sides as large as a wall [m2]."""
 
 _TALL_M = 1.2
 """Upright surface that nobody named is a wall where it is as high in one place: furniture behind it stands in another room."""
@@ -74,7 +76,8 @@ class RoomShape:
     polygon: Corners of the floor, counter-clockwise, open ring [m], shape (n, 2). walls: Segments x0, y0, x1, y1 with the
     room to their left [m], shape (m, 4): edges of the polygon, then faces of interior walls. interior_walls: Center lines
     x0, y0, x1, y1, thickness, height [m], shape (k, 6). height [m]. is_seen: where anything but walls was seen, of places shape
-    (m, 2) [m]; None where nobody looked. slopes: slanted walls.
+    (m, 2) [m]; None where nobody looked. slopes: slanted walls. top: how high anything was scanned [m].
+    is_room: false for a scan of things, which has no walls.
     """
 
     polygon: Array
@@ -87,6 +90,8 @@ class RoomShape:
     notes: tuple[str, ...]
     is_seen: Seen | None = None
     slopes: tuple[Slope, ...] = ()
+    top: float = 0.0
+    is_room: bool = True
 
     def row(
         self, scene_id: str, parts: Sequence[tuple[NDArray[np.uint8], Label]],
@@ -130,22 +135,24 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
 
     kinds = _kinds(cloud, nyu40)
     height, height_source = _height(cloud, kinds)
+    top = float(np.percentile(cloud.points[:, 2], _TOP_PERCENT))
     plan = FloorCells.of(cloud, kinds, height)
     notes: list[str] = []
     outline, lines = plan.outline(), [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
-    if not (nyu40 == WALL).any() and not any(map(len, lines)):
-        notes.append(NO_ROOM)
+    is_room = bool((nyu40 == WALL).any()) or (any(map(len, lines)) and _looks_inward(cloud, kinds == WALL))
+    if not is_room:
+        notes.append(_not_a_room(cloud))
     if outline is None:
         low, high = (np.percentile(cloud.points[:, :2], q, axis=0) for q in (0.5, 99.5))
         high = np.maximum(high, low + 0.2)
         polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         notes.append("no floor to be seen: its polygon is the extent of the scan")
-        area, walls, inner = float(np.prod(high - low)), _edges(polygon), np.zeros((0, 6))
-        return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
+        area, walls, inner = float(np.prod(high - low)), _edges(polygon) if is_room else np.zeros((0, 4)), np.zeros((0, 6))
+        return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes), top=top, is_room=is_room)
     has_walls = bool((nyu40 == WALL).any()) or min(map(len, lines)) >= 2
     outline, missed = _with_furniture(outline, cloud, kinds, has_walls)
     if has_walls:
-        shape, is_snapped = _snapped(plan, outline, lines, cloud, kinds)
+        shape, is_snapped = snapped_outline(plan, outline, lines, cloud, kinds == WALL)
     else:
         shape, is_snapped = outline.simplify(0.5 * _AROUND_M), False
     if stated is not None and _is_followed(stated, shape):
@@ -158,11 +165,30 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
     polygon = _ring(shape)
     seen = plan.share_of_floor(shape)
     source = "surface" if seen >= 0.25 else ("walls" if is_snapped and any(len(side_lines) for side_lines in lines) else "extent")
+    area = float(shape.area)
+    if not is_room:
+        walls, inner = np.zeros((0, 4)), np.zeros((0, 6))
+        return RoomShape(polygon, area, source, walls, inner, height, height_source, tuple(notes), plan.is_seen, top=top, is_room=False)
     slabs, more = interior_walls(cloud, kinds == WALL, shape, height, plan.is_floor)
     walls = np.array([*_edges(polygon), *(face for slab in slabs for face in slab.faces)])
     inner = np.array([slab.row for slab in slabs]).reshape(-1, 6)
-    slopes = slanted_walls(cloud, np.isin(kinds, (WALL, CEILING)), polygon, inner, height)
-    return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more), plan.is_seen, tuple(slopes))
+    slopes = tuple(slanted_walls(cloud, np.isin(kinds, (WALL, CEILING)), polygon, inner, height))
+    return RoomShape(polygon, area, source, walls, inner, height, height_source, (*notes, *more), plan.is_seen, slopes, top)
+
+
+def _not_a_room(cloud: Cloud) -> str:
+    """The note on a scan without walls, with the reason."""
+    upright_m2 = float(cloud.areas[np.abs(cloud.normals[:, 2]) < _UPRIGHT].sum())
+    sides = f"its {upright_m2:.1f} m2 of upright surface are sides of what stands there, not walls around it"
+    reason = sides if upright_m2 >= _UPRIGHT_M2 else "nothing upright in it is as large as a wall"
+    return f"{NO_ROOM}: {reason}: handled as a scan of objects on a floor without walls"
+
+
+def _looks_inward(cloud: Cloud, is_wall: NDArray[np.bool_]) -> bool:
+    """True if most upright surface that nobody named looks to the middle of the scan, as walls do and the sides of a thing do not."""
+    middle = np.average(cloud.points[:, :2], axis=0, weights=cloud.areas + 1e-12)
+    inward = ((middle - cloud.points[is_wall, :2]) * cloud.normals[is_wall, :2]).sum(axis=1) > 0.0
+    return bool(cloud.areas[is_wall] @ inward >= 0.5 * cloud.areas[is_wall].sum())
 
 
 def _is_followed(ring: Array, estimated: Geometry) -> bool:
@@ -179,6 +205,11 @@ def _is_followed(ring: Array, estimated: Geometry) -> bool:
 def floor_points(cloud: Cloud, nyu40: NDArray[np.int64]) -> NDArray[np.float64]:
     """Points of the floor that was seen, labelled or not [m], shape (m, 3). `nyu40`: as for `estimate_room`."""
     return cloud.points[_kinds(cloud, nyu40) == FLOOR]
+
+
+def wall_points(cloud: Cloud, nyu40: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which points are of walls, labelled or not, shape (n,). `nyu40`: as for `estimate_room`."""
+    return np.asarray(_kinds(cloud, nyu40) == WALL)
 
 
 def inferred_room_type(categories: Iterable[str]) -> str:
@@ -230,7 +261,7 @@ def _height(cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[float, str]:
     walls = z[kinds == WALL]
     if areas[kinds == WALL].sum() > 1.0 and (top := float(np.percentile(walls, 99.7))) > 1.0:
         return top, "walls"
-    return max(float(np.percentile(z, 99.5)), 0.1), "extent"
+    return max(float(np.percentile(z, _TOP_PERCENT)), 0.1), "extent"
 
 
 def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], has_walls: bool) -> tuple[Polygon, float]:
@@ -332,59 +363,6 @@ def _wall_lines(cloud: Cloud, is_wall: NDArray[np.bool_], axis: int) -> Array:
             near = np.abs(values - position) < 0.04
             lines.append(float(np.average(values[near], weights=areas[near])))
     return np.sort(np.array(lines))
-
-
-def _snapped(plan: FloorCells, outline: Polygon, lines: list[Array], cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[Polygon, bool]:
-    """The outline made of straight edges; along the walls where walls run along the axes.
-
-    The plane is cut at every wall and at every long straight stretch of the outline; the rectangles between that are
-    mostly inside make up the floor, and those that walls face on all sides, though furniture hides their floor. Where that does not fit the
-    outline (walls askew), the outline is only simplified.
-    """
-    import shapely
-
-    simple = outline.simplify(0.12)
-    xs, ys = (_with_outline(lines[axis], simple, axis) for axis in (0, 1))
-    share = plan.filled_share(xs, ys)
-    # A strip no wider than a wall between two walls is that wall, though modelled floors run on below it. Inside the
-    # room such strips are bridged again by the closing below.
-    is_floor = ~_is_wall_strip(xs, lines[0])[:, None] & ~_is_wall_strip(ys, lines[1])
-    chosen = (share > 0.5) & is_floor
-    if min(map(len, lines)) >= 2:
-        hidden = is_floor & ~chosen & enclosed(cloud, kinds == WALL, xs, ys, lines) & (plan.filled_share(xs, ys, is_seen=True) > 0.0)
-        outline = shapely.union_all([outline, *(shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(hidden))])
-        chosen |= hidden
-    boxes = [shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(chosen)]
-    if boxes:
-        # Strips narrower than a wall is thick are floor below a wall, or its recess at a window.
-        shape = largest(closed(closed(shapely.union_all(boxes), 0.2), -0.13))
-        if shape is not None:
-            overlap = shape.intersection(outline).area / shape.union(outline).area
-            if overlap > 0.85:
-                return shape.simplify(0.03), True
-    return shapely.Polygon(simple.exterior), False
-
-
-def _is_wall_strip(positions: Array, walls: Array) -> NDArray[np.bool_]:
-    """Which gaps between consecutive lines lie between two walls and are as narrow as a wall, shape (len(positions) - 1,)."""
-    is_wall = np.isin(positions, walls)
-    return is_wall[:-1] & is_wall[1:] & (np.diff(positions) < _WALL_THICKNESS_M)
-
-
-def _with_outline(lines: Array, outline: Polygon, axis: int) -> Array:
-    """Wall lines, and where no wall is near (0.3 m), the outline's own long edges and extremes; sorted."""
-    corners = np.asarray(outline.exterior.coords)
-    a, b = corners[:-1], corners[1:]
-    other = 1 - axis
-    along = np.abs(b[:, other] - a[:, other])
-    straight = (along > 0.5) & (np.abs(b[:, axis] - a[:, axis]) < 0.15 * along + 0.05)
-    edges = sorted(zip((-along[straight]).tolist(), ((a + b) / 2)[straight, axis].tolist(), strict=True))
-    extremes = [(0.0, float(corners[:, axis].min())), (0.0, float(corners[:, axis].max()))]
-    kept = lines.tolist()
-    for _, position in [*edges, *extremes]:
-        if all(abs(position - other_line) > 0.3 for other_line in kept):
-            kept.append(position)
-    return np.sort(np.array(kept))
 
 
 def _ring(shape: Polygon) -> Array:

@@ -299,6 +299,10 @@ def _world(path: Path, model: Any) -> Iterator[Finding]:
             yield Finding("explicit_hulls", where, f"lies up to {dents[mesh] * 1000:.1f} mm inside its own hull")
 
 
+ROOM_PREFIX = "room_"
+"""Bodies of walls begin with it."""
+
+
 def _viewing(path: Path, model: Any, is_lit: bool) -> Iterator[Finding]:
     """Whether anybody who opens a scene sees it lit, from inside. Others, and this project's older files, leave that to the viewer."""
     mujoco = mujoco_module()
@@ -309,7 +313,11 @@ def _viewing(path: Path, model: Any, is_lit: bool) -> Iterator[Finding]:
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_camlight(model, data)
-    solid = np.flatnonzero(((model.geom_contype != 0) | (model.geom_conaffinity != 0)) & (model.geom_rbound > 0.0))
+    is_solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    bodies = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or "" for body in range(model.nbody)]
+    if ours and not any(name.startswith(ROOM_PREFIX) for name in bodies):
+        is_solid |= True  # without walls a camera stands over the floor, which collides as a plane without a size
+    solid = np.flatnonzero(is_solid & (model.geom_rbound > 0.0))
     low, high = (
         (end(data.geom_xpos[solid] + sign * model.geom_rbound[solid, None], axis=0) if len(solid) else np.zeros(3))
         for end, sign in ((np.min, -1.0), (np.max, 1.0))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from schemas.capture import Shell
 from schemas.errors import InputError
 from tasks.mounting import mounting
-from tasks.shell import floor_ring, interior_footprints
+from tasks.shell import floor_ring, interior_footprints, is_open_side
 
 if TYPE_CHECKING:
     from tasks.optimization.support.supports import Carrier, PlacedAsset
@@ -60,7 +60,8 @@ def wall_faces(room: Shell) -> list[WallFace]:
     faces: list[WallFace] = []
     try:
         ring = floor_ring(room)
-        faces += [_face(f"wall_{i:02d}", a, b, room.height_m) for i, (a, b) in enumerate(zip(ring, np.roll(ring, -1, axis=0), strict=True))]
+        sides = list(zip(ring, np.roll(ring, -1, axis=0), strict=True))
+        faces += [_face(f"wall_{i:02d}", a, b, room.height_m) for i, (a, b) in enumerate(sides) if not is_open_side(room, a, b)]
         for i, (wall, corners) in enumerate(zip(room.interior_walls, interior_footprints(room), strict=True)):
             # the room lies to the right of the footprint's edges
             behind = min(BEHIND_M, 0.5 * wall[4])

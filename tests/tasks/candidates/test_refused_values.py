@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
+from tasks import candidates
 from tasks.candidates import scan_crop
+from tasks.candidates.provider import CandidateProvider, ProviderConfig
 from tests.tasks.candidates.crops import candidates_of, furniture
 
 
@@ -43,3 +45,30 @@ def test_a_refused_row_of_a_candidate_costs_its_slot(monkeypatch: pytest.MonkeyP
     assert len(notes) == 1
     assert field in notes[0]
     assert "\n" not in notes[0]
+
+
+@pytest.mark.parametrize("name", ["procedural", "scan_crop", "parametric", "library"])
+def test_any_provider_loses_its_own_slots_alone(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """A provider of any kind whose assets have a negative volume."""
+    real = candidates.provider_of
+
+    def refused(config: ProviderConfig) -> CandidateProvider:
+        family = real(config)
+        if family.name != name:
+            return family
+        lent = real(scan_crop.ScanCrop())
+
+        def offer(request: Any, _: Any) -> Any:
+            made = lent.offer(request, scan_crop.ScanCrop())
+            return dataclasses.replace(made, asset=dataclasses.replace(made.asset, volume_m3=-2e-4))
+
+        return dataclasses.replace(family, offer=offer)
+
+    monkeypatch.setattr(candidates, "provider_of", refused)
+    outcome = candidates_of(furniture(1, "stool", (0.4, 0.4, 0.5), 0.2))
+    rows = outcome.rows["candidates"]
+    is_own = [row.provider.startswith(name) for row in rows]
+    assert any(is_own)
+    assert all(row.outcome == "failed" for row, own in zip(rows, is_own, strict=True) if own)
+    assert all(row.outcome != "failed" for row, own in zip(rows, is_own, strict=True) if not own)
+    assert all(asset.volume_m3 >= 0 for asset in outcome.rows["assets"])

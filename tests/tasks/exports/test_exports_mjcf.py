@@ -21,6 +21,7 @@ from PIL import Image
 
 from bench.rooms import generated_scene
 from tasks import exports, optimization
+from tasks.capture.rooms.openings import open_sides
 from tasks.exports import write_folder
 from tasks.exports.bodies import Replica
 from tasks.exports.mjcf import mjcf_files
@@ -98,6 +99,16 @@ def test_a_sound_scene_has_no_findings_wherever_it_lies(model: Path, copy: Path)
     assert check_mjcf(copy) == []
     used = {element.get("file") for element in ElementTree.fromstring(model.read_bytes()).iter() if element.get("file")}
     assert used == {path.name for path in (model.parent / "assets").iterdir()}, "nothing is there that is not used"
+
+
+def test_a_scene_without_walls_is_sound(replica: Replica, tmp_path: Path) -> None:
+    """A scan of objects has a floor alone, over which the camera stands; one far away is a finding as in any other scene."""
+    room = dataclasses.replace(replica.room, openings=open_sides(np.array(replica.room.floor_polygon), replica.room.height_m))
+    floor = {name: part for name, part in replica.shell if name == "floor"}
+    path = written(tmp_path, dataclasses.replace(replica, room=room, shell=tuple(floor.items()), bodies=replica.bodies[:1]))
+    assert check_mjcf(path) == []
+    put("worldbody/camera", "pos", "0 0 90")(path)
+    assert [finding.rule for finding in check_mjcf(path)] == ["viewing"]
 
 
 def test_options_are_those_of_the_certificates(model: Path) -> None:

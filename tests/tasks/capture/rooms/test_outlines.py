@@ -1,0 +1,99 @@
+"""Floors of rooms with cut corners, bays and openings without doors: the shell follows the scan."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from tasks.capture.rooms.passages import passages
+from tasks.capture.rooms.room import RoomShape, estimate_room, wall_points
+from tests.tasks.capture.rooms.cut_rooms import HEIGHT_M, Gap, Ring, cut_cloud
+
+MAX_ERROR_M = 0.04
+RECTANGLE: Ring = [(-2.5, -2.0), (2.5, -2.0), (2.5, 2.0), (-2.5, 2.0)]
+DOORWAY = Gap(wall=2, start=2.0, width=1.1, height=2.0)
+"""In the back wall of `RECTANGLE`, whose line runs from x = 2.5 to x = -2.5: from x = 0.5 to x = -0.6."""
+
+
+def chamfered(cut: float, slope: float = 1.0) -> Ring:
+    """A rectangle without its right front corner."""
+    return [(-2.5, -2.0), (2.5 - cut, -2.0), (2.5, slope * cut - 2.0), (2.5, 2.0), (-2.5, 2.0)]
+
+
+BAY: Ring = [(-2.5, -2.0), (2.5, -2.0), (2.5, 2.0), (1.2, 2.0), (0.6, 2.7), (-0.6, 2.7), (-1.2, 2.0), (-2.5, 2.0)]
+OCTAGON: Ring = [(-2.5, -1.0), (-1.5, -2.0), (1.5, -2.0), (2.5, -1.0), (2.5, 1.0), (1.5, 2.0), (-1.5, 2.0), (-2.5, 1.0)]
+L_SHAPE: Ring = [(-2.5, -2.0), (1.8, -2.0), (2.5, -1.3), (2.5, 0.5), (0.5, 0.5), (0.5, 2.0), (-2.5, 2.0)]
+
+
+def shape_of(ring: Ring, **options: object) -> RoomShape:
+    return estimate_room(*cut_cloud(ring, **options))  # type: ignore[arg-type]
+
+
+def free_of(ring: Ring, **options: object) -> list[np.ndarray]:
+    cloud, classes = cut_cloud(ring, **options)  # type: ignore[arg-type]
+    shape = estimate_room(cloud, classes)
+    return passages(cloud, wall_points(cloud, classes), shape.polygon, shape.height)
+
+
+@pytest.mark.parametrize(
+    "ring",
+    [
+        RECTANGLE,
+        chamfered(0.4),
+        chamfered(0.8),
+        chamfered(1.4),
+        chamfered(2.2),
+        chamfered(1.0, 0.6),
+        chamfered(0.7, 1.8),
+        BAY,
+        OCTAGON,
+        L_SHAPE,
+    ],
+)
+@pytest.mark.parametrize("noise", [0.002, 0.012])
+def test_slanted_walls_are_edges_of_the_floor(ring: Ring, noise: float) -> None:
+    polygon = shapely.Polygon(shape_of(ring, noise=noise).polygon)
+    assert polygon.hausdorff_distance(shapely.Polygon(ring)) < MAX_ERROR_M + noise
+    assert len(polygon.exterior.coords) == len(ring) + 1
+
+
+def test_furniture_across_a_corner_is_no_slanted_wall() -> None:
+    shape = shape_of(RECTANGLE, boxes=[((1.9, -1.4, 0.9), (0.4, 1.2, 1.8), np.pi / 4)])
+    assert shapely.Polygon(shape.polygon).area == pytest.approx(20.0, abs=0.2)
+
+
+@pytest.mark.parametrize("ring", [RECTANGLE, chamfered(1.4)])
+@pytest.mark.parametrize("behind", [1.2, 4.0])
+def test_floor_behind_an_opening_is_not_of_the_room(ring: Ring, behind: float) -> None:
+    gap = Gap(len(ring) - 2, 2.0, 1.1, 2.0, behind)
+    polygon = shapely.Polygon(shape_of(ring, gaps=[gap]).polygon)
+    assert polygon.hausdorff_distance(shapely.Polygon(ring)) < MAX_ERROR_M
+
+
+@pytest.mark.parametrize(("width", "height"), [(0.8, 2.0), (1.1, 2.0), (1.8, 2.2), (1.1, HEIGHT_M)])
+def test_an_opening_without_a_door_is_a_passage(width: float, height: float) -> None:
+    (corners,) = free_of(RECTANGLE, gaps=[Gap(2, 2.0, width, height)])
+    assert np.allclose([corners[:, 0].max(), corners[:, 0].min()], [0.5, 0.5 - width], atol=0.06)
+    assert np.allclose(corners[:, 1], 2.0, atol=0.02)
+    assert corners[:, 2].min() == 0.0
+    assert corners[:, 2].max() == pytest.approx(height, abs=0.06)
+
+
+def test_a_slanted_wall_has_passages() -> None:
+    (corners,) = free_of(chamfered(1.8), gaps=[Gap(1, 0.7, 1.1, 2.0)])
+    middle = corners[:, :2].mean(axis=0)
+    assert np.allclose(middle, np.array([0.7, -2.0]) + 1.25 * np.sqrt(0.5), atol=0.06)
+
+
+def test_two_openings_are_two_passages() -> None:
+    assert len(free_of(RECTANGLE, gaps=[Gap(2, 0.5, 1.1, 2.0), Gap(2, 3.0, 0.9, 2.0)])) == 2
+
+
+def test_no_passage_without_floor_behind_it() -> None:
+    assert not free_of(RECTANGLE, gaps=[Gap(2, 2.0, 1.1, 2.0, behind_m=0.01)])
+    assert not free_of(RECTANGLE)
+
+
+def test_what_stands_in_an_opening_closes_it() -> None:
+    assert not free_of(RECTANGLE, gaps=[DOORWAY], boxes=[((-0.05, 2.02, 1.0), (1.1, 0.05, 2.0), 0.0)])
