@@ -22,6 +22,8 @@ from tasks.optimization import default, paper, released
 from tasks.optimization.bodies import BodyConfig, bodies_of
 from tasks.optimization.certificates import CertificateConfig, Certified, certificate_rows, certify
 from tasks.optimization.clearance import keep_clear
+from tasks.optimization.colliders.seams import CLEAR_M, SEAM_M, Seams, cut_at_seams, with_stored_colliders
+from tasks.optimization.colliders.shoring import with_plates
 from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.coverings import cut_at_walls
 from tasks.optimization.default import Default, poses_at_rest, tipping_at_rest, walls_of
@@ -36,10 +38,8 @@ from tasks.optimization.parting import part_slight
 from tasks.optimization.proposals import propose
 from tasks.optimization.released import Released
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
-from tasks.optimization.seams import CLEAR_M, SEAM_M, Seams, cut_at_seams, with_stored_colliders
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
 from tasks.optimization.search.trace import Move, Resolution, moved_poses, replayed_poses, step_rows, with_falls, with_shifts
-from tasks.optimization.shoring import with_plates
 from tasks.optimization.solids import RigidBody
 from tasks.optimization.support.resting import DEEP_M, lost_supports
 from tasks.optimization.support.supports import SupportConfig
@@ -47,6 +47,9 @@ from tasks.settings import ByKind, Config, NonNegative
 from tasks.stage import Blobs, Context, Outcome, Stage
 
 __all__ = ["MOVES", "OUTCOMES", "STAGE", "Default", "OptimizationConfig", "Paper", "Released", "SupportConfig", "replayed_poses", "run"]
+
+OWN_GEOMETRY = "scan_crop"
+"""Providers whose names begin so make assets of what was scanned, and of nothing else."""
 
 Method = Annotated[Paper | Released | Default, ByKind()]
 """How collisions are resolved: a union of frozen configs, matched by type."""
@@ -106,9 +109,12 @@ def run(
     fitting = fit_together(proposals, usable, known, deepest, config.supports.reach_m, lambda some: furnish(some, *placed))
     interior = fitting.interior
     notes += fitting.left_out
-    resolved, cut_shares = _resolved(interior, config, context), {}
-    if isinstance(config.method, Default):
-        resolved, cut_shares = _beside_each_other(interior, points, config, context, blobs)
+    cut_shares: Mapping[str, float] = {}
+    if not isinstance(config.method, Default):
+        resolved = _resolved(interior, config, context)
+    else:
+        bare = [p.instance.instance_id for p in interior.proposals if known[p.asset_id].provider.startswith(OWN_GEOMETRY)]
+        resolved, cut_shares = _beside_each_other(interior, points, bare, config, context, blobs)
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
@@ -163,18 +169,18 @@ def _scanned(instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> dict[
 
 
 def _beside_each_other(
-    interior: Interior,
-    points: Mapping[str, NDArray[np.float64]],
-    config: OptimizationConfig,
-    context: Context,
+    interior: Interior, points: Mapping[str, NDArray[np.float64]], bare: Collection[str], config: OptimizationConfig, context: Context,
     blobs: Blobs,
-) -> tuple[_Resolved, Mapping[str, float]]:
+) -> tuple[_Resolved, Mapping[str, float]]:  # fmt: skip
     """The interior resolved with colliders that end at seams, and the shares of them that were cut away, by instance: only where objects
-    are deep in each other, else wherever they are, and if that does not help, what is stuck is put anywhere."""
+    are deep in each other, else wherever they are, and if that does not help, what is stuck is put anywhere.
+
+    points, bare: as for `cut_at_seams`.
+    """
     supports = config.supports
     tries: list[tuple[_Resolved, Seams]] = []
     for deepest in (SEAM_M, DEEP_M):
-        seams = cut_at_seams(interior, points, walls_of(interior), lambda some: poses_at_rest(some, supports), deepest)
+        seams = cut_at_seams(interior, points, walls_of(interior), lambda some: poses_at_rest(some, supports), deepest, bare)
         steady = _steadied(seams.interior, config.method, supports)
         stored = dataclasses.replace(seams, interior=with_stored_colliders(steady, blobs))
         tries.append((_resolved(stored.interior, config, context), stored))

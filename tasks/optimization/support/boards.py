@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.geometry.cutting import prism
 from tasks.geometry.hulls import Hull
 from tasks.mounting import HOLDS_NOTHING, mounting
+from tasks.optimization.colliders.cutting import prism
 from tasks.optimization.support.supports import Carrier, PlacedAsset
 
 Array = NDArray[np.float64]

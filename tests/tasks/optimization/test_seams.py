@@ -80,13 +80,17 @@ def test_what_lost_its_feet_gets_some_in_its_collider_and_says_so() -> None:
     """A cabinet of which the scan lost the lowest 20 cm, and a chair that is 4 cm too high."""
     scene = Scene()
     cabinet = scene.add(block(0.8, 0.5, 0.6), translation([0.0, 0.0, 0.2]), "dresser")
+    whole = scene.add(block(0.7, 0.6, 0.5), translation([1.2, 0.0, 0.1]), "nightstand")
     chair = scene.add(CHAIR, translation([-1.2, 0.0, 0.04]), "chair")
+    own = scene.selections[0].asset_id
+    scene.assets[own] = dataclasses.replace(scene.assets[own], provider="scan_crop_closed")
     outcome = scene.run()
     ends, supports = collider_bounds(outcome, scene), {row.instance_id: row for row in outcome.rows["supports"]}
     assert ends[cabinet][0, 2] == pytest.approx(0.0, abs=1e-4)
     assert poses_of(outcome)[cabinet][2, 3] == pytest.approx(0.2, abs=1e-3)
     assert poses_of(outcome)[chair][2, 3] == pytest.approx(0.0, abs=1e-3), "nobody sees so short a way"
-    assert (supports[cabinet].is_inferred, supports[chair].is_inferred) == (True, False)
+    assert poses_of(outcome)[whole][2, 3] == pytest.approx(0.0, abs=1e-3), "a model has its feet"
+    assert {name: supports[name].is_inferred for name in supports} == {cabinet: True, whole: False, chair: False}
     assert set(remains(outcome).values()) == {None}
     assert all(row.is_stable_1cm for row in outcome.rows["certificates"])
 

@@ -12,9 +12,9 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.geometry.cutting import beyond, prism, without
 from tasks.geometry.hulls import Hull
 from tasks.geometry.transforms import inverse
+from tasks.optimization.colliders.cutting import beyond, prism, without
 from tasks.optimization.interior import Interior
 from tasks.optimization.solids import ConvexParts, mass_properties_of
 from tasks.optimization.support.boards import BOARD_M

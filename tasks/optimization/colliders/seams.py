@@ -8,17 +8,17 @@ sank into its carrier ends at that carrier's top.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.geometry.cutting import beyond, shared_by, solid_hull, without
 from tasks.geometry.hulls import Hull
 from tasks.geometry.pieces import dump_pieces, read_pieces
 from tasks.geometry.transforms import inverse
 from tasks.geometry.triangles import face_planes
+from tasks.optimization.colliders.cutting import beyond, shared_by, solid_hull, without
 from tasks.optimization.contacts import FLOOR, Colliders, Penetration
 from tasks.optimization.footing import stands_alone
 from tasks.optimization.interior import Interior
@@ -72,15 +72,16 @@ class Seams:
 
 def cut_at_seams(
     interior: Interior, points: Mapping[str, Array], walls: Sequence[ConvexParts], at_rest: Callable[[Interior], Array],
-    deepest: float = SEAM_M,
+    deepest: float = SEAM_M, bare: Collection[str] = (),
 ) -> Seams:  # fmt: skip
     """The interior with colliders cut back at carriers, walls and neighbors that they are deeper in than `deepest` [m].
 
     points: scanned points of instances in the world frame [m], shape (n, 3) each. walls: the room's, as thick as they keep objects in,
-    world frame. at_rest: poses of an interior's objects at rest on their carriers, shape (n, 4, 4) [m].
+    world frame. bare: instances whose assets show what was scanned and nothing else; what hangs of these has lost its feet. at_rest:
+    poses of an interior's objects at rest on their carriers, shape (n, 4, 4) [m].
     """
     whole = [_volume(solid.hulls) for solid in interior.solids]
-    interior = _reaching_carriers(interior)
+    interior = _reaching_carriers(interior, bare)
     for _ in range(MOST_ROUNDS):
         made = _cut_once(interior, points, walls, at_rest(interior), whole, deepest)
         if made is None:
@@ -112,8 +113,8 @@ def _cut_once(
         larger = _is_larger(whole, a, b)
         one_side: tuple[Way, ...] = ("first", "second") if larger else ("second", "first")
         for way in ("first",) if is_wall else ("points", *one_side, "both"):
-            others, theirs = (fixed_parts[b - len(bodies)], None) if is_wall else (bodies[b], scanned[b])
-            first, second = _parted(bodies[a], others, scanned[a], theirs, way, larger)
+            beside, theirs = (fixed_parts[b - len(bodies)], None) if is_wall else (bodies[b], scanned[b])
+            first, second = _parted(bodies[a], beside, scanned[a], theirs, way, larger)
             sides = [(a, _same(bodies[a], _within(first, interior.ring)))] if is_wall else [(a, first), (b, second)]
             if all(_is_good(interior, i, bodies[i], made, whole[i]) for i, made in sides):
                 cut |= {i for i, made in sides if made is not bodies[i]}
@@ -140,15 +141,15 @@ def with_stored_colliders(interior: Interior, blobs: Blobs) -> Interior:
     return dataclasses.replace(interior, solids=tuple(solids))
 
 
-def _reaching_carriers(interior: Interior) -> Interior:
+def _reaching_carriers(interior: Interior, bare: Collection[str]) -> Interior:
     """What sank into its carrier by more than `SUNK_M` ends at the top of that, and what hangs more than `LOWERED_M` above it has feet
-    down to it: collider and surface, so that neither is lifted or lowered."""
+    down to it where it is bare: collider and surface, so that neither is lifted or lowered."""
     solids, objects, carriers = list(interior.solids), list(interior.objects), list(interior.carriers)
     own = [c.lift - (carriers[p].lift if p >= 0 else 0.0) for c, p in zip(carriers, interior.parent.tolist(), strict=True)]
     for i, carrier in enumerate(interior.carriers):
         parent, gap = int(interior.parent[i]), carrier.gap
         is_standing = carrier.relation in ("floor", "on", "inside") and not interior.covering[i] and not interior.fixed[i]
-        if is_standing and (gap < -SUNK_M or gap > LOWERED_M):
+        if is_standing and (gap < -SUNK_M or (gap > LOWERED_M and interior.names[i] in bare)):
             obj, pose = objects[i], interior.poses[i]
             level = float(obj.low[2]) - gap
             make = _cut_at if gap < 0.0 else _on_feet
@@ -169,7 +170,7 @@ def _cut_at(solid: ConvexParts, pose: Array, level: float) -> list[Hull]:
 
 
 def _on_feet(solid: ConvexParts, pose: Array, level: float) -> list[Hull]:
-    """A solid's pieces, in its own frame, and below those at its base others that reach down to a height of the world [m]."""
+    """A solid's pieces, in its own frame, and below those at its base beside that reach down to a height of the world [m]."""
     placed = solid.placed(pose)
     low = min(float(hull.vertices[:, 2].min()) for hull in placed)
     feet = []
@@ -195,7 +196,7 @@ def _may_cut(interior: Interior, pair: Penetration) -> bool:
     a, b, count = pair.index_a, pair.index_b, len(interior.objects)
     sides = [i for i in (a, b) if i < count]
     if any(interior.covering[i] for i in sides):
-        return False  # rugs lie below others, and end at walls
+        return False  # rugs lie below beside, and end at walls
     if b >= count:
         return pair.b != FLOOR and not interior.fixed[a]
     return not (interior.fixed[a] and interior.fixed[b])
@@ -207,7 +208,7 @@ def _is_larger(volumes: Sequence[float], a: int, b: int) -> bool:
 
 
 def _within(pieces: list[Hull], ring: Array | None) -> list[Hull]:
-    """Pieces whose middle lies within the outline of the floor, shape (m, 2) [m]: what is left of others is behind a wall."""
+    """Pieces whose middle lies within the outline of the floor, shape (m, 2) [m]: what is left of beside is behind a wall."""
     import shapely
 
     if ring is None:
@@ -222,12 +223,12 @@ Way = Literal["points", "first", "second", "both"]
 
 
 def _parted(
-    first: list[Hull], second: list[Hull], points: Array, others: Array | None, way: Way, first_is_larger: bool
+    first: list[Hull], second: list[Hull], points: Array, beside: Array | None, way: Way, first_is_larger: bool
 ) -> tuple[list[Hull], list[Hull]]:
     """Pieces of two bodies in the world frame, parted. By points, of each pair of pieces the one is cut in whose space fewer of its
     object's points lie than of the other's, of equal ones the larger object's.
 
-    points, others: scanned points of the two, shape (n, 3) [m]; None for a wall, which keeps all.
+    points, beside: scanned points of the two, shape (n, 3) [m]; None for a wall, which keeps all.
     """
     waiting, done, rest = list(first), list[Hull](), list(second)
     while waiting and len(done) + len(waiting) + len(rest) < 2 * MOST_PIECES + len(first) + len(second):
@@ -239,7 +240,7 @@ def _parted(
                 continue
             loses = way == "first"
             if way == "points":
-                mine, theirs = _count(points, piece, other), _count(others, piece, other) if others is not None else 1
+                mine, theirs = _count(points, piece, other), _count(beside, piece, other) if beside is not None else 1
                 loses = mine < theirs or (mine == theirs and first_is_larger)
             if way == "both":
                 mine_left, rest[at : at + 1] = _halved(piece, other)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tasks.geometry.cutting import LEAST_M, MOST_PARTS, beyond, solid_hull, without
 from tasks.geometry.hulls import LIMITS, Hull, is_within
+from tasks.optimization.colliders.cutting import LEAST_M, MOST_PARTS, beyond, solid_hull, without
 from tests.tasks.optimization.scenes import penetration_depth
 
 
