@@ -239,11 +239,13 @@ def evidence_of(
         color, iou, foreign = done[asset_id]
         asset = assets[asset_id]
         own = is_own_geometry(asset, candidate.provider, score)
-        geometric = score_of(distances, iou, color, target.diagonal, score, foreign, target.resolution)
-        measured.append(Evidence(candidate, asset, sample, fit, distances, iou, color, foreign, own, geometric))
+        agreement = score_of(distances, iou, color, target.diagonal, score, foreign, target.resolution)
+        measured.append(Evidence(candidate, asset, sample, fit, distances, iou, color, foreign, own, agreement))
     noise = covered_within(target.diagonal, score.threshold_m, score.threshold_share, score.threshold_least_m)
     explanations = [explanation_of(each.distances, target.diagonal, noise, score, each.foreign, target.resolution) for each in measured]
-    scores = whole_first(np.array([each.geometric for each in measured]), explanations, [each.own for each in measured], score.whole_margin)
+    whole = [each.candidate.provider.startswith(score.whole_models) for each in measured]
+    geometric = np.array([each.geometric for each in measured])
+    scores = whole_first(geometric, explanations, [each.own for each in measured], whole, score.whole_margin)
     return [dataclasses.replace(each, geometric=float(value)) for each, value in zip(measured, scores, strict=True)]
 
 

@@ -31,7 +31,8 @@ class ScoreConfig(Config):
     falloff: float = 0.04  # of the diagonal: the mean distance at which closeness falls to 1/e; never less than the scan's resolution
     look_loss: float = 0.02  # an asset that scores this much less than an instance's best does where it does for several
     own_geometry: Texts = ("scan_crop",)  # providers, by how their names begin, whose assets are the scan itself
-    whole_margin: float = 0.05  # a whole model goes before the scan's own geometry where it explains the scan within this much as well
+    whole_models: Texts = ("library",)  # providers whose assets are models that somebody made whole, not forms that are fitted to a box
+    whole_margin: float = 0.15  # such a model goes before the scan's own geometry where it explains the scan within this much as well
 
 
 def score_of(
@@ -103,14 +104,19 @@ LEAST_DIFFERENCE = 1e-6
 """Difference of scores that ranks one candidate after another; scores are compared to nine digits."""
 
 
-def whole_first(scores: Array, explanations: Sequence[Explanation], is_own: Sequence[bool], margin: float) -> Array:
+def whole_first(
+    scores: Array, explanations: Sequence[Explanation], is_own: Sequence[bool], is_whole: Sequence[bool], margin: float
+) -> Array:
     """Scores, shape (k,), in which the scan's own geometry comes after a whole model that explains the scan as well.
 
-    Own geometry reproduces the scan with its noise and holes, so that a small lead says nothing. A model with worse evidence gains nothing.
+    Own geometry reproduces the scan with its noise and holes, so that a small lead says nothing. A model with worse evidence gains nothing,
+    nor does a form that was fitted to the object's box.
     """
     ranked = scores.copy()
     for k in np.flatnonzero(np.asarray(is_own, dtype=np.bool_)):
-        whole = [scores[i] for i, own in enumerate(is_own) if not own and explanations[i].is_as_good_as(explanations[int(k)], margin)]
+        whole = [
+            scores[i] for i, is_model in enumerate(is_whole) if is_model and explanations[i].is_as_good_as(explanations[int(k)], margin)
+        ]
         if whole:
             ranked[k] = min(scores[k], max(max(whole) - LEAST_DIFFERENCE, 0.0))
     return ranked

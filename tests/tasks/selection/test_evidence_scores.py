@@ -70,16 +70,18 @@ def test_scores_are_the_same_whoever_offers_what_fits_better(names: tuple[str, s
 
 def test_own_geometry_yields_to_equal_evidence_alone() -> None:
     config = ScoreConfig()
-    fits = {"crop": (0.005, 0.97), "equal": (0.02, 0.95), "uncovered": (0.02, 0.88), "far": (0.2, 0.95)}
+    fits = {"crop": (0.005, 0.97), "equal": (0.02, 0.95), "uncovered": (0.02, 0.8), "far": (0.4, 0.95)}
     explained = {name: explanation_of(Distances(far, far, far, covered), 1.0, 0.03, config) for name, (far, covered) in fits.items()}
     for name, yields in (("equal", True), ("uncovered", False), ("far", False)):
-        ranked = whole_first(np.array([0.95, 0.8]), [explained["crop"], explained[name]], [True, False], config.whole_margin)
+        ranked = whole_first(np.array([0.95, 0.8]), [explained["crop"], explained[name]], [True, False], [False, True], config.whole_margin)
         assert (ranked[0] < ranked[1]) == yields
         assert ranked[1] == 0.8
         if not yields:
             assert ranked[0] == 0.95
+    form = whole_first(np.array([0.95, 0.8]), [explained["crop"], explained["equal"]], [True, False], [False, False], config.whole_margin)
+    assert form[0] == 0.95, "a form that was fitted to its box is no model of the object"
     intruding = dataclasses.replace(explained["equal"], foreign=0.2)
-    assert whole_first(np.array([0.95, 0.8]), [explained["crop"], intruding], [True, False], config.whole_margin)[0] == 0.95
+    assert whole_first(np.array([0.95, 0.8]), [explained["crop"], intruding], [True, False], [False, True], config.whole_margin)[0] == 0.95
 
 
 def test_a_model_that_fills_space_that_frames_saw_empty_loses() -> None:
