@@ -114,7 +114,7 @@ def run(
         resolved = _resolved(interior, config, context)
     else:
         bare = [p.instance.instance_id for p in interior.proposals if known[p.asset_id].provider.startswith(OWN_GEOMETRY)]
-        resolved, cut_shares = _beside_each_other(interior, points, bare, config, context, blobs)
+        resolved, cut_shares = _beside_each_other(interior, points, bare, config.method, config, context, blobs)
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
@@ -169,8 +169,8 @@ def _scanned(instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> dict[
 
 
 def _beside_each_other(
-    interior: Interior, points: Mapping[str, NDArray[np.float64]], bare: Collection[str], config: OptimizationConfig, context: Context,
-    blobs: Blobs,
+    interior: Interior, points: Mapping[str, NDArray[np.float64]], bare: Collection[str], method: Default,
+    config: OptimizationConfig, context: Context, blobs: Blobs,
 ) -> tuple[_Resolved, Mapping[str, float]]:  # fmt: skip
     """The interior resolved with colliders that end at seams, and the shares of them that were cut away, by instance: only where objects
     are deep in each other, else wherever they are, and if that does not help, what is stuck is put anywhere.
@@ -181,7 +181,7 @@ def _beside_each_other(
     tries: list[tuple[_Resolved, Seams]] = []
     for deepest in (SEAM_M, DEEP_M):
         seams = cut_at_seams(interior, points, walls_of(interior), lambda some: poses_at_rest(some, supports), deepest, bare)
-        steady = _steadied(seams.interior, config.method, supports)
+        steady = _steadied(seams.interior, method, supports)
         stored = dataclasses.replace(seams, interior=with_stored_colliders(steady, blobs))
         tries.append((_resolved(stored.interior, config, context), stored))
         if not _stuck(tries[-1][0]):

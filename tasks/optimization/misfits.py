@@ -150,7 +150,9 @@ def _other(proposal: Proposal, rows: Sequence[Selection], refused: Collection[tu
     refused: Instances with assets that would let fall what the instance carries.
     """
     now = next((row for row in rows if row.asset_id == proposal.asset_id), None)
-    for row in rows if now is not None else ():
+    if now is None:
+        return None
+    for row in rows:
         fits = row.coverage >= now.coverage - AS_WELL and (row.foreign_share or 0.0) < (now.foreign_share or 0.0) - LESS
         if fits and (row.instance_id, row.asset_id) not in refused:
             return dataclasses.replace(proposal, asset_id=row.asset_id, pose=matrix(row.pose), scale=np.array(row.scale))
