@@ -65,8 +65,8 @@ def without(hull: Hull, other: Hull, margin: float = 0.0) -> list[Hull]:
     if bool(((hull.vertices @ normals.T) >= offsets).all(axis=0).any()):
         return [hull]
     points = inner_points(hull)
-    inside: NDArray[np.bool_] = (points @ normals.T) < offsets
-    is_left: NDArray[np.bool_] = ~inside.all(axis=1)
+    inside = np.asarray(points @ normals.T < offsets)
+    is_left = np.asarray(~inside.all(axis=1))
     parts: list[Hull] = []
     rest: Hull | None = hull
     for _ in range(MOST_PARTS):
