@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.alignment.distances import back_distances, coarse_distances, compiled, discs, pairwise_sum
+from tasks.alignment.distances import back_distances, coarse_distances, compiled, disc_distances, discs, pairwise_sum
 from tasks.alignment.samples import Fit, Sample
 from tasks.alignment.targets import ScannedInstance
 from tasks.kernels import Kernels, compile_kernels
@@ -44,6 +44,17 @@ def measure(target: ScannedInstance, sample: Sample, fit: Fit, threshold: float,
     weights = target.weights(placed, normals, config)
     limits = radius, target.spacing, config.truncation * target.diagonal, threshold, config.seen_share
     return Distances(*_compiled()["_measured"](np.ascontiguousarray(target.points), placed, normals, weights, *map(float, limits)))
+
+
+def f_score(target: ScannedInstance, sample: Sample, fit: Fit, within: float, config: AlignmentConfig) -> float:
+    """Harmonic mean of the share of points within a distance [m] of a placed asset, and of the share of its surface that could have been
+    seen within that distance of the points."""
+    placed, normals, radius = sample.placed(fit)
+    could_be_seen = target.weights(placed, normals, config) >= 1.0
+    complete = float((disc_distances(target.points, placed, normals, radius) <= within).mean())
+    near = _compiled()["back_distances"](placed, np.ascontiguousarray(target.points)) - target.spacing <= within
+    accurate = float(near[could_be_seen].mean()) if could_be_seen.any() else 0.0
+    return 2.0 * complete * accurate / (complete + accurate) if complete + accurate > 0.0 else 0.0
 
 
 def coarse_costs(target: ScannedInstance, sample: Sample, fits: Sequence[Fit], config: AlignmentConfig) -> Array:

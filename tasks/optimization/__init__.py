@@ -48,9 +48,6 @@ from tasks.stage import Blobs, Context, Outcome, Stage
 
 __all__ = ["MOVES", "OUTCOMES", "STAGE", "Default", "OptimizationConfig", "Paper", "Released", "SupportConfig", "replayed_poses", "run"]
 
-OWN_GEOMETRY = "scan_crop"
-"""Providers whose names begin so make assets of what was scanned, and of nothing else."""
-
 Method = Annotated[Paper | Released | Default, ByKind()]
 """How collisions are resolved: a union of frozen configs, matched by type."""
 
@@ -113,8 +110,7 @@ def run(
     if not isinstance(config.method, Default):
         resolved = _resolved(interior, config, context)
     else:
-        bare = [p.instance.instance_id for p in interior.proposals if known[p.asset_id].provider.startswith(OWN_GEOMETRY)]
-        resolved, cut_shares = _beside_each_other(interior, points, bare, config.method, config, context, blobs)
+        resolved, cut_shares = _beside_each_other(interior, points, config.method, config, context, blobs)
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
@@ -169,18 +165,18 @@ def _scanned(instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> dict[
 
 
 def _beside_each_other(
-    interior: Interior, points: Mapping[str, NDArray[np.float64]], bare: Collection[str], method: Default,
+    interior: Interior, points: Mapping[str, NDArray[np.float64]], method: Default,
     config: OptimizationConfig, context: Context, blobs: Blobs,
 ) -> tuple[_Resolved, Mapping[str, float]]:  # fmt: skip
     """The interior resolved with colliders that end at seams, and the shares of them that were cut away, by instance: only where objects
     are deep in each other, else wherever they are, and if that does not help, what is stuck is put anywhere.
 
-    points, bare: as for `cut_at_seams`.
+    points: as for `cut_at_seams`.
     """
     supports = config.supports
     tries: list[tuple[_Resolved, Seams]] = []
     for deepest in (SEAM_M, DEEP_M):
-        seams = cut_at_seams(interior, points, walls_of(interior), lambda some: poses_at_rest(some, supports), deepest, bare)
+        seams = cut_at_seams(interior, points, walls_of(interior), lambda some: poses_at_rest(some, supports), deepest)
         steady = _steadied(seams.interior, method, supports)
         stored = dataclasses.replace(seams, interior=with_stored_colliders(steady, blobs))
         tries.append((_resolved(stored.interior, config, context), stored))

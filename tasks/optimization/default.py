@@ -14,6 +14,7 @@ from pydantic import Field
 from tasks.geometry.transforms import translation
 from tasks.mounting import mounting
 from tasks.optimization.interior import Interior
+from tasks.optimization.rows import TOPPLES
 from tasks.optimization.search.annealing import AnnealingSchedule
 from tasks.optimization.search.arrangement import FIXED, HANGING, OVERHEAD, STANDING, Arrangement, compiled
 from tasks.optimization.search.chains import Chain, anneal
@@ -148,7 +149,7 @@ def resolve(
         notes.append(f"penetrations of {final:.3g} m of {chain.start:.3g} m are left after {tried} moves")
     problems = {names[i]: f"it hangs {gap:.2f} m above anything" for i, gap in last.settling.hanging.items()}
     for i in last.settling.toppling:
-        problems.setdefault(names[i], "it cannot stand so: its center of mass lies beyond what it stands on")
+        problems.setdefault(names[i], TOPPLES)
     for i, text in last.reasons.items():
         problems[names[i]] = "; ".join([text, *([problems[names[i]]] if names[i] in problems else [])])
     chains = method.chains if chain.start > 0 else 1

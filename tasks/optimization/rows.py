@@ -28,6 +28,9 @@ ABOVE_M = 0.15
 OUTSIDE = 0.05
 """Share of an object outside of the floor, seen from above, from which on it is said to be outside."""
 
+TOPPLES = "it cannot stand so: its center of mass lies beyond what it stands on"
+"""Said of what would tip too far, where an engine agrees."""
+
 UPSIDE_DOWN = -0.5
 """Height of the tip of an object's upright axis below which it stands on its head; lying on its side it is at 0."""
 
@@ -152,8 +155,10 @@ def remains_of(
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     known = set(interior.names)
     lines: dict[str, list[str]] = {name: [] for name in interior.names}
+    restless = {row.name for row in certified if not (row.is_stable_1cm and row.is_stable_5cm and row.is_stable_nudged is not False)}
     for name, text in resolution.problems.items():
-        lines[name].append(text)
+        if text != TOPPLES or name in restless:  # an engine knows better
+            lines[name].append(text)
     for name in sorted(set(lost) - set(resolution.problems)):
         lines[name].append("what carried it carries it no more")
     for i, (name, carrier) in enumerate(zip(interior.names, interior.carriers, strict=True)):

@@ -29,11 +29,12 @@ from tasks.alignment import (
     sample_asset,
     sight_of,
 )  # fmt: skip
+from tasks.alignment.measures import f_score
 from tasks.geometry.boxes import grown_box, oriented_iou
 from tasks.geometry.transforms import inverse, transform_points, translation, yaw_pose
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.selection.neighbors import Neighborhood, foreign_share
-from tasks.selection.scoring import ScoreConfig, explanation_of, is_own_geometry, score_of, whole_first
+from tasks.selection.scoring import WITHIN, ScoreConfig, is_own_geometry, score_of, whole_first
 from tasks.stage import Context
 from tasks.views.crops import Crop, crop_of, filling
 
@@ -179,7 +180,7 @@ def gather(
     ]
     fits = context.spread(_aligned, work)
     return [
-        (query, evidence_of(query, usable, by_asset, samples, neighborhood, aligned, score))
+        (query, evidence_of(query, usable, by_asset, samples, neighborhood, aligned, score, config.alignment))
         for (query, usable, _), aligned in zip(queries, fits, strict=True)
     ]
 
@@ -215,6 +216,7 @@ def evidence_of(
     neighborhood: Neighborhood,
     fits: Mapping[str, tuple[Fit, Distances]],
     score: ScoreConfig,
+    alignment: AlignmentConfig,
 ) -> list[Evidence]:
     """Candidates of an instance, aligned and measured, in their order. fits: Of each asset, by its id."""
     instance, frame, target = query.instance, query.frame, query.target
@@ -241,11 +243,10 @@ def evidence_of(
         own = is_own_geometry(asset, candidate.provider, score)
         agreement = score_of(distances, iou, color, target.diagonal, score, foreign, target.resolution)
         measured.append(Evidence(candidate, asset, sample, fit, distances, iou, color, foreign, own, agreement))
-    noise = covered_within(target.diagonal, score.threshold_m, score.threshold_share, score.threshold_least_m)
-    explanations = [explanation_of(each.distances, target.diagonal, noise, score, each.foreign, target.resolution) for each in measured]
-    whole = [each.candidate.provider.startswith(score.whole_models) for each in measured]
-    geometric = np.array([each.geometric for each in measured])
-    scores = whole_first(geometric, explanations, [each.own for each in measured], whole, score.whole_margin)
+    within = WITHIN * covered_within(target.diagonal, score.threshold_m, score.threshold_share, score.threshold_least_m)
+    f_scores = np.array([f_score(target, each.sample, each.fit, within, alignment) for each in measured])
+    scores, foreign_shares = np.array([each.geometric for each in measured]), np.array([each.foreign for each in measured])
+    scores = whole_first(scores, f_scores, foreign_shares, [each.own for each in measured], score.whole_margin)
     return [dataclasses.replace(each, geometric=float(value)) for each, value in zip(measured, scores, strict=True)]
 
 

@@ -31,8 +31,7 @@ class ScoreConfig(Config):
     falloff: float = 0.04  # of the diagonal: the mean distance at which closeness falls to 1/e; never less than the scan's resolution
     look_loss: float = 0.02  # an asset that scores this much less than an instance's best does where it does for several
     own_geometry: Texts = ("scan_crop",)  # providers, by how their names begin, whose assets are the scan itself
-    whole_models: Texts = ("library",)  # providers whose assets are models that somebody made whole, not forms that are fitted to a box
-    whole_margin: float = 0.15  # such a model goes before the scan's own geometry where it explains the scan within this much as well
+    whole_margin: float = 0.05  # a whole model goes before the scan's own geometry where its F-score is no worse by more than this
 
 
 def score_of(
@@ -61,64 +60,27 @@ def score_of(
     return float(np.clip(total * (1.0 - config.foreign * foreign), 0.0, 1.0))
 
 
-@dataclasses.dataclass(frozen=True)
-class Explanation:
-    """How well a placed asset explains a scan, each 0 to 1. agreement: coverage and closeness, where distances within the noise of the
-    scan are none. coverage: share of covered points. foreign: share of foreign and seen-empty space in the asset."""
-
-    agreement: float
-    coverage: float
-    foreign: float
-
-    def is_as_good_as(self, other: Explanation, margin: float) -> bool:
-        """True if no part of it is worse than another explanation's by more than a margin."""
-        return (
-            self.agreement >= other.agreement - margin
-            and self.coverage >= other.coverage - margin
-            and self.foreign <= other.foreign + margin
-        )
-
-
-def explanation_of(
-    distances: Distances, diagonal: float, threshold: float, config: ScoreConfig, foreign: float = 0.0, resolution: float = 0.0
-) -> Explanation:
-    """How well a placed asset explains a scan, by shape alone: colors of a model come from other cameras.
-
-    Args:
-        distances: distances between the placed asset and the points.
-        diagonal: diagonal of the instance's box [m].
-        threshold: noise of the scan, within which a point is covered [m].
-        config: weights.
-        foreign: share of foreign and seen-empty space in the asset, 0 to 1.
-        resolution: distance between neighboring points of the scan [m].
-    """
-    falloff = max(config.falloff * diagonal, resolution)
-    scan, asset = (float(np.exp(-max(d - threshold, 0.0) / falloff)) for d in (distances.scan, distances.asset))
-    weights = config.coverage + config.scan_closeness + config.asset_closeness
-    total = config.coverage * distances.coverage + config.scan_closeness * scan + config.asset_closeness * asset
-    agreement = total / max(weights, 1e-9) * (1.0 - config.foreign * foreign)
-    return Explanation(float(np.clip(agreement, 0.0, 1.0)), distances.coverage, foreign)
-
-
 LEAST_DIFFERENCE = 1e-6
 """Difference of scores that ranks one candidate after another; scores are compared to nine digits."""
 
+WITHIN = 5.0 / 3.0
+"""F-scores are at so many times the distance within which a point counts as covered: 5 cm of furniture, less of small things."""
 
-def whole_first(
-    scores: Array, explanations: Sequence[Explanation], is_own: Sequence[bool], is_whole: Sequence[bool], margin: float
-) -> Array:
+
+def whole_first(scores: Array, f_scores: Array, foreign: Array, is_own: Sequence[bool], margin: float) -> Array:
     """Scores, shape (k,), in which the scan's own geometry comes after a whole model that explains the scan as well.
 
-    Own geometry reproduces the scan with its noise and holes, so that a small lead says nothing. A model with worse evidence gains nothing,
-    nor does a form that was fitted to the object's box.
+    Own geometry reproduces the scan with its noise and holes, so that a small lead says nothing. A model with worse evidence gains nothing.
+
+    f_scores: of the placed assets and the scan, shape (k,). foreign: shares of foreign and seen-empty space, shape (k,). margin: by which
+    a model may be worse in either.
     """
     ranked = scores.copy()
-    for k in np.flatnonzero(np.asarray(is_own, dtype=np.bool_)):
-        whole = [
-            scores[i] for i, is_model in enumerate(is_whole) if is_model and explanations[i].is_as_good_as(explanations[int(k)], margin)
-        ]
-        if whole:
-            ranked[k] = min(scores[k], max(max(whole) - LEAST_DIFFERENCE, 0.0))
+    models = ~np.asarray(is_own, dtype=np.bool_)
+    for k in np.flatnonzero(~models):
+        whole = scores[models & (f_scores >= f_scores[k] - margin) & (foreign <= foreign[k] + margin)]
+        if len(whole):
+            ranked[k] = min(scores[k], max(float(whole.max()) - LEAST_DIFFERENCE, 0.0))
     return ranked
 
 

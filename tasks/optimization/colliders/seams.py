@@ -8,7 +8,7 @@ sank into its carrier ends at that carrier's top.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -18,7 +18,7 @@ from tasks.geometry.hulls import Hull
 from tasks.geometry.pieces import dump_pieces, read_pieces
 from tasks.geometry.transforms import inverse
 from tasks.geometry.triangles import face_planes
-from tasks.optimization.colliders.cutting import beyond, shared_by, solid_hull, without
+from tasks.optimization.colliders.cutting import beyond, shared_by, without
 from tasks.optimization.contacts import FLOOR, Colliders, Penetration
 from tasks.optimization.footing import stands_alone
 from tasks.optimization.interior import Interior
@@ -30,12 +30,6 @@ Array = NDArray[np.float64]
 
 SUNK_M = 0.03
 """What sank less deep into its carrier [m] is lifted out of it: nobody sees so short a way."""
-
-LOWERED_M = 0.05
-"""What hangs less high above its carrier [m] is let down onto it; what hangs higher, as far as it counts as carried, has lost its feet."""
-
-BASE_M = 0.02
-"""What of an object lies within this of its lowest point [m] is its base."""
 
 SEAM_M = 0.02
 """Objects that are less deep in each other [m] are moved apart: nobody sees so short a way, and their colliders stay simple."""
@@ -72,16 +66,15 @@ class Seams:
 
 def cut_at_seams(
     interior: Interior, points: Mapping[str, Array], walls: Sequence[ConvexParts], at_rest: Callable[[Interior], Array],
-    deepest: float = SEAM_M, bare: Collection[str] = (),
+    deepest: float = SEAM_M,
 ) -> Seams:  # fmt: skip
     """The interior with colliders cut back at carriers, walls and neighbors that they are deeper in than `deepest` [m].
 
     points: scanned points of instances in the world frame [m], shape (n, 3) each. walls: the room's, as thick as they keep objects in,
-    world frame. bare: instances whose assets show what was scanned and nothing else; what hangs of these has lost its feet. at_rest:
-    poses of an interior's objects at rest on their carriers, shape (n, 4, 4) [m].
+    world frame. at_rest: poses of an interior's objects at rest on their carriers, shape (n, 4, 4) [m].
     """
     whole = [_volume(solid.hulls) for solid in interior.solids]
-    interior = _reaching_carriers(interior, bare)
+    interior = _ended_at_carriers(interior)
     for _ in range(MOST_ROUNDS):
         made = _cut_once(interior, points, walls, at_rest(interior), whole, deepest)
         if made is None:
@@ -141,52 +134,29 @@ def with_stored_colliders(interior: Interior, blobs: Blobs) -> Interior:
     return dataclasses.replace(interior, solids=tuple(solids))
 
 
-def _reaching_carriers(interior: Interior, bare: Collection[str]) -> Interior:
-    """What sank into its carrier by more than `SUNK_M` ends at the top of that, and what hangs more than `LOWERED_M` above it has feet
-    down to it where it is bare: collider and surface, so that neither is lifted or lowered."""
+def _ended_at_carriers(interior: Interior) -> Interior:
+    """What sank into its carrier by more than `SUNK_M` ends at the top of that, collider and surface, and is lifted no more."""
     solids, objects, carriers = list(interior.solids), list(interior.objects), list(interior.carriers)
     own = [c.lift - (carriers[p].lift if p >= 0 else 0.0) for c, p in zip(carriers, interior.parent.tolist(), strict=True)]
     for i, carrier in enumerate(interior.carriers):
-        parent, gap = int(interior.parent[i]), carrier.gap
-        is_standing = carrier.relation in ("floor", "on", "inside") and not interior.covering[i] and not interior.fixed[i]
-        if is_standing and (gap < -SUNK_M or (gap > LOWERED_M and interior.names[i] in bare)):
+        parent = int(interior.parent[i])
+        if carrier.relation in ("floor", "on", "inside") and carrier.gap < -SUNK_M and not interior.covering[i] and not interior.fixed[i]:
             obj, pose = objects[i], interior.poses[i]
-            level = float(obj.low[2]) - gap
-            make = _cut_at if gap < 0.0 else _on_feet
-            kept = make(solids[i], pose, level)
+            level = float(obj.low[2]) - carrier.gap
+            kept = [part for hull in solids[i].hulls if (part := beyond(hull, pose[2, :3], level - float(pose[2, 3])))]
             made = ConvexParts(solids[i].name, tuple(kept), None, solids[i].shares)
             if kept and _volume(kept) >= LEAST_LEFT * _volume(solids[i].hulls) and _still_stands(solids[i], made, pose):
                 solids[i], own[i] = made, 0.0
                 objects[i] = _ended(obj, level)
-                carriers[i] = dataclasses.replace(carrier, gap=0.0, is_inferred=carrier.is_inferred or gap > 0.0)
+                carriers[i] = dataclasses.replace(carrier, gap=0.0)
         carriers[i] = dataclasses.replace(carriers[i], lift=own[i] + (carriers[parent].lift if parent >= 0 else 0.0))
     return dataclasses.replace(interior, solids=tuple(solids), objects=tuple(objects), carriers=tuple(carriers))
 
 
-def _cut_at(solid: ConvexParts, pose: Array, level: float) -> list[Hull]:
-    """What of a solid's pieces, in its own frame, lies above a height of the world [m]."""
-    up = pose[2, :3]
-    return [part for hull in solid.hulls if (part := beyond(hull, up, level - float(pose[2, 3])))]
-
-
-def _on_feet(solid: ConvexParts, pose: Array, level: float) -> list[Hull]:
-    """A solid's pieces, in its own frame, and below those at its base beside that reach down to a height of the world [m]."""
-    placed = solid.placed(pose)
-    low = min(float(hull.vertices[:, 2].min()) for hull in placed)
-    feet = []
-    for hull in placed:
-        base = hull.vertices[hull.vertices[:, 2] <= low + BASE_M]
-        foot = solid_hull(np.concatenate([base, np.column_stack([base[:, :2], np.full(len(base), level)])])) if len(base) else None
-        if foot is not None:
-            feet.append(foot.transformed(inverse(pose)))
-    return [*solid.hulls, *feet] if feet else []
-
-
 def _ended(obj: PlacedAsset, level: float) -> PlacedAsset:
-    """A placed asset whose surface ends at a height [m], its base drawn down to that where it lies above it."""
+    """A placed asset whose surface ends at a height [m]."""
     vertices = obj.surface.vertices.copy()
-    heights = vertices[:, 2]
-    vertices[:, 2] = np.where(heights <= obj.low[2] + BASE_M, level, np.maximum(heights, level))
+    vertices[:, 2] = np.maximum(vertices[:, 2], level)
     surface = dataclasses.replace(obj.surface, vertices=vertices)
     return dataclasses.replace(obj, surface=surface, low=np.array([obj.low[0], obj.low[1], level]))
 

@@ -114,7 +114,7 @@ class PlacedAsset:
 class Carrier:
     """What carries an object. `gap` [m]: height of its bottom above that, both as proposed. `lift` [m]: how far it is
     moved up to rest, its carrier's own lift included. `against`: part of the room's shell that it hangs on or stands
-    against. `is_fixed`: fastened to the room. `is_inferred`: a board that was not seen carries it, or feet that were not seen."""
+    against. `is_fixed`: fastened to the room. `is_inferred`: a board that was not seen carries it, or it stands on a plate."""
 
     relation: str
     parent_id: str | None

@@ -10,7 +10,6 @@ import pytest
 from tasks.geometry.meshes import dump_points
 from tasks.geometry.transforms import translation, yaw_pose
 from tests.tasks.optimization.scenes import (
-    CHAIR,
     SHELF,
     SOFA,
     TABLE,
@@ -74,25 +73,6 @@ def test_what_sank_into_its_carrier_ends_at_its_top_and_what_it_carries_comes_al
     assert poses_of(outcome)[chest][2, 3] == pytest.approx(-0.08, abs=1e-3)
     assert poses_of(outcome)[mug][2, 3] == pytest.approx(0.52, abs=1e-3)
     assert set(remains(outcome).values()) == {None}
-
-
-def test_what_lost_its_feet_gets_some_in_its_collider_and_says_so() -> None:
-    """A cabinet of which the scan lost the lowest 20 cm, and a chair that is 4 cm too high."""
-    scene = Scene()
-    cabinet = scene.add(block(0.8, 0.5, 0.6), translation([0.0, 0.0, 0.2]), "dresser")
-    whole = scene.add(block(0.7, 0.6, 0.5), translation([1.2, 0.0, 0.1]), "nightstand")
-    chair = scene.add(CHAIR, translation([-1.2, 0.0, 0.04]), "chair")
-    own = scene.selections[0].asset_id
-    scene.assets[own] = dataclasses.replace(scene.assets[own], provider="scan_crop_closed")
-    outcome = scene.run()
-    ends, supports = collider_bounds(outcome, scene), {row.instance_id: row for row in outcome.rows["supports"]}
-    assert ends[cabinet][0, 2] == pytest.approx(0.0, abs=1e-4)
-    assert poses_of(outcome)[cabinet][2, 3] == pytest.approx(0.2, abs=1e-3)
-    assert poses_of(outcome)[chair][2, 3] == pytest.approx(0.0, abs=1e-3), "nobody sees so short a way"
-    assert poses_of(outcome)[whole][2, 3] == pytest.approx(0.0, abs=1e-3), "a model has its feet"
-    assert {name: supports[name].is_inferred for name in supports} == {cabinet: True, whole: False, chair: False}
-    assert set(remains(outcome).values()) == {None}
-    assert all(row.is_stable_1cm for row in outcome.rows["certificates"])
 
 
 def test_what_stands_on_a_board_that_the_scan_lost_stays_there() -> None:

@@ -9,10 +9,12 @@ import pytest
 import trimesh
 
 from schemas.capture import Frame
-from tasks.alignment import Distances
+from tasks.alignment import AlignmentConfig, Fit, sample_asset
+from tasks.alignment.measures import f_score
+from tasks.alignment.targets import make_target
 from tasks.geometry.transforms import flat, look_at, yaw_pose
 from tasks.selection import ScoreConfig
-from tasks.selection.scoring import explanation_of, whole_first
+from tasks.selection.scoring import whole_first
 from tasks.views.sightlines import box_cells, depth_views, is_seen_empty
 from tests.tasks.selection.rooms import WOOD, Room, cabinet, chair, part, scan, shelf
 
@@ -69,19 +71,30 @@ def test_scores_are_the_same_whoever_offers_what_fits_better(names: tuple[str, s
 
 
 def test_own_geometry_yields_to_equal_evidence_alone() -> None:
-    config = ScoreConfig()
-    fits = {"crop": (0.005, 0.97), "equal": (0.02, 0.95), "uncovered": (0.02, 0.8), "far": (0.4, 0.95)}
-    explained = {name: explanation_of(Distances(far, far, far, covered), 1.0, 0.03, config) for name, (far, covered) in fits.items()}
-    for name, yields in (("equal", True), ("uncovered", False), ("far", False)):
-        ranked = whole_first(np.array([0.95, 0.8]), [explained["crop"], explained[name]], [True, False], [False, True], config.whole_margin)
+    margin, scores, own = ScoreConfig().whole_margin, np.array([0.95, 0.8]), [True, False]
+    for f, foreign, yields in ((0.97, 0.0, True), (0.94, 0.0, True), (0.9, 0.0, False), (0.97, 0.2, False)):
+        ranked = whole_first(scores, np.array([0.98, f]), np.array([0.0, foreign]), own, margin)
         assert (ranked[0] < ranked[1]) == yields
         assert ranked[1] == 0.8
         if not yields:
             assert ranked[0] == 0.95
-    form = whole_first(np.array([0.95, 0.8]), [explained["crop"], explained["equal"]], [True, False], [False, False], config.whole_margin)
-    assert form[0] == 0.95, "a form that was fitted to its box is no model of the object"
-    intruding = dataclasses.replace(explained["equal"], foreign=0.2)
-    assert whole_first(np.array([0.95, 0.8]), [explained["crop"], intruding], [True, False], [False, True], config.whole_margin)[0] == 0.95
+
+
+def test_f_scores_tell_a_template_from_the_object() -> None:
+    """Of a sofa with an open bend: itself agrees with its points, a bench as large does not."""
+    rng = np.random.default_rng(2)
+    points = scan(u_sofa(), np.eye(4), (1, 1, 1), rng)[0]
+    config = AlignmentConfig()
+    target = make_target(points, np.zeros(points.shape, dtype=np.uint8), np.ptp(points, axis=0), config, rng)
+    fit = Fit(0.0, np.zeros(3), np.ones(3))
+    room = Room()
+    values = []
+    for parts in (u_sofa(), bench()):
+        asset = room.assets[room.asset(parts, "a")]
+        sample = sample_asset(asset, room.blobs[asset.mesh_blob], config, rng)
+        values.append(f_score(target, sample, fit, 0.05, config))
+    assert values[0] > 0.95
+    assert values[1] < 0.7
 
 
 def test_a_model_that_fills_space_that_frames_saw_empty_loses() -> None:
