@@ -19,7 +19,7 @@ an elbow's push does not throw it down."""
 BASE_SHARE = 0.5
 """Of the distance between the center of mass and the rim of an object's own base: a bottle's is 3 cm."""
 
-MOST_BACK_M = 0.3
+MOST_BACK_M = 0.15
 """Farther than this no object is drawn [m]: what carries it in the middle of its carrier is no edge, but a bump of a scanned top."""
 
 
