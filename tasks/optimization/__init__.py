@@ -13,6 +13,7 @@ from schemas.annotation import Annotation
 from schemas.candidates import Asset
 from schemas.captions import Caption
 from schemas.capture import Instance, Shell
+from schemas.errors import InputError
 from schemas.optimization import APPLIED, OptimizationStep
 from schemas.selection import Selection
 from tasks.geometry.meshes import read_points
@@ -84,7 +85,7 @@ def run(
     """
     known = {asset.asset_id: asset for asset in assets}
     proposals, notes = propose(instances, selections, annotations, known)
-    proposed, points = proposals, _scanned(instances, context.blobs)
+    proposed, (points, pointless) = proposals, _scanned(instances, context.blobs)
     room = shells[0] if shells else None
     cut_proposed(proposals, known, context.blobs, config.pieces, context.caches, context.spread)
     is_default = isinstance(config.method, Default)
@@ -133,6 +134,7 @@ def run(
     contacts = contact_rows(scene_id, interior, interior.poses, before, "proposed", allowed)
     contacts += contact_rows(scene_id, interior, poses, after, "optimized", allowed)
     undone = [*notes, *resolution.notes]
+    unknown += pointless if isinstance(config.method, Default) else []
     notes = [*undone, *fitting.notes, *changed, *unknown, *resolution.noted, *set_down(interior, config.supports)]
     notes += [f"{name}: {text}" for name, text in remains.items()]
     notes += [f"{name}: it covers its scan less well by {loss:.2f} of its F-score" for name, loss in losses.items() if loss > MOST_LOSS]
@@ -159,9 +161,17 @@ class _Resolved(NamedTuple):
     steps: list[OptimizationStep]
 
 
-def _scanned(instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> dict[str, NDArray[np.float64]]:
-    """Scanned points of instances in the world frame, shape (n, 3) [m], by instance; of those whose points are at hand."""
-    return {row.instance_id: read_points(blobs[row.points_blob], row.points_blob)[0] for row in instances if row.points_blob in blobs}
+def _scanned(instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
+    """Scanned points of instances in the world frame, shape (n, 3) [m], by instance, and whose points cannot be read, a line each."""
+    points: dict[str, NDArray[np.float64]] = {}
+    notes = []
+    for row in instances:
+        try:
+            points[row.instance_id] = read_points(blobs[row.points_blob], row.points_blob)[0]
+        except (InputError, KeyError) as error:
+            why = f"blob {error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
+            notes.append(f"{row.instance_id}: nobody knows which space is its own: {why}")
+    return points, notes
 
 
 def _beside_each_other(

@@ -40,6 +40,7 @@ PLAIN = {
     "top_1 top_5 top_1_without_own": "the field's", "agreement chance_agreement cohens_kappa kendalls_tau": "the field's",
     "friction restitution": "coefficients", "solid_fraction": "physics' word, and that of prompts and of the table of categories",
     "category_probability p_value p_value_by_scene p_value_by_seed": "probabilities", "learning_rate": "of the optimizer",
+    "fidelity_loss": "of an F-score",
     "loss smallest_loss loss_start loss_final loss_before loss_after": "their unit is the method's, said beside them",
     "value low high validation": "of the metric beside them", "doubt": "a rank of what to ask, 0 to 1", "nees": "normalized by its spread",
     "first_mean second_mean difference": "of the measure beside them", "pass wrong": "bounds of shares, pass_low to wrong_high",
