@@ -53,12 +53,13 @@ class Placement:
     collider_faces: int | None = column("Triangles of these pieces; missing with them", minimum=4)
     collider_early_share: float | None = column(
         "Of rays along the axes from six sides of the unscaled asset, 1.5 cm apart, that meet the asset or stop early beside it, those "
-        "that stop at a piece more than 2 cm before the asset, or beside it with no part of it within 2 cm; missing with the pieces",
+        "that stop at a piece more than 2 cm before the asset, or beside it with no part of it within 2 cm; missing with the pieces, and "
+        "where they are this object's alone",
         minimum=0,
         maximum=1,
     )
     collider_miss_share: float | None = column(
-        "Of the same rays those that meet the asset, and a piece only more than 1 cm behind it or none; missing with the pieces",
+        "Of the same rays those that meet the asset, and a piece only more than 1 cm behind it or none; missing with the share above",
         minimum=0,
         maximum=1,
     )

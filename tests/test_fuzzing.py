@@ -38,6 +38,7 @@ OWN = {
     "tasks/lineage/": "draws rows of the lake",
     "tasks/optimization/": "reads answers of its own child",
     "tasks/scanner/": "reads what it wrote",
+    "tasks/furniture/wild/foreign.py": "reads models that a benchmark of ours is given",
     "tasks/kernels/": "reads the code of the project, and its own list",
     "tasks/navigation/habitat.py bake_stage": "reads what habitat-sim wrote",
     "tasks/navigation/recast.py RecastPathFinder.": "is given navmeshes that were read",

@@ -20,7 +20,7 @@ from schemas.optimization import Placement
 from tasks import optimization
 from tasks.geometry.mass import mass_properties
 from tasks.geometry.meshes import asset_surface, load_glb
-from tasks.geometry.pieces import Pieces, asset_pieces, pieces
+from tasks.geometry.pieces import Pieces, asset_pieces, pieces, read_pieces
 from tasks.geometry.transforms import matrix
 from tasks.optimization import OptimizationConfig
 from tasks.optimization.certificates import certify
@@ -135,7 +135,6 @@ def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Caches) 
     }  # fmt: skip
     room = scene.rows["shells"][0] if scene.rows["shells"] else None
     polygon = np.array(room.floor_polygon, dtype=np.float64).reshape(-1, 2) if room else np.zeros((0, 2))
-    measures = Measures(list(solids.values()), categories, polygon, room.height_m if room else np.inf)
     shell = list(shell_solids(room)) if room else []
     colliders = Colliders(list(solids.values()), shell)
     depths = {(p.a, p.b): p.depth_m for p in colliders.penetrations(np.array([proposed[name] for name in solids]))}
@@ -144,7 +143,16 @@ def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Caches) 
     carried = scene.carried if scene.carried is not None else _carried_as_proposed(scene, placements, config, context)
     used = {name: (row.asset_id, row.scale) for name, row in placements.items()}
     rebuilt = _Rebuilt(scene, used, solids, config, {asset for asset, made in known.items() if made.method == "cut"}, {})
-    laboratory = _Laboratory(scene, solids, categories, measures, colliders, shell, carried, proposed, config, to_place, depths, rebuilt)
+
+    def laboratory_with(own: Mapping[str, ConvexParts]) -> _Laboratory:
+        """Where objects have other colliders than their assets', by name."""
+        used_solids = {name: own.get(name, solid) for name, solid in solids.items()}
+        measures = Measures(list(used_solids.values()), categories, polygon, room.height_m if room else np.inf)
+        met = Colliders(list(used_solids.values()), shell) if own else colliders
+        remade = dataclasses.replace(rebuilt, solids=used_solids, own=frozenset(own))
+        return _Laboratory(scene, used_solids, categories, measures, met, shell, carried, proposed, config, to_place, depths, remade)
+
+    laboratory = laboratory_with({})
     verdicts = []
     if scene.drawn_poses is not None:
         poses = {name: scene.drawn_poses[name] for name in solids}
@@ -153,7 +161,9 @@ def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Caches) 
     for method, (outcome, seconds) in outcomes.items():
         poses = {row.instance_id: matrix(row.optimized_pose) for row in outcome.rows["placements"]}
         own = {row.instance_id for row in outcome.rows["supports"] if row.is_fixed}
-        verdicts.append(laboratory.verdict(method, poses, own, outcome, seconds))
+        blobs = {row.instance_id: row.collider_blob for row in outcome.rows["placements"] if row.collider_blob is not None}
+        cut = {name: ConvexParts(name, read_pieces(outcome.blobs[blob], blob)) for name, blob in blobs.items()}
+        verdicts.append((laboratory_with(cut) if cut else laboratory).verdict(method, poses, own, outcome, seconds))
     return SceneVerdicts(scene.scene_id, categories, tuple(verdicts), len(scene.disturbances), piece_seconds)
 
 
@@ -196,7 +206,8 @@ def _pieces(scene: BenchScene, config: OptimizationConfig, context: Context) -> 
 @dataclasses.dataclass(frozen=True)
 class _Rebuilt:
     """Convex pieces made anew from the GLBs, past every memory: asset and scale of each object, and the pieces that the
-    other measures use. decomposed: assets whose meshes were cut. made: by asset, filled at need."""
+    other measures use. decomposed: assets whose meshes were cut. made: by asset, filled at need. own: objects whose pieces are theirs
+    alone."""
 
     scene: BenchScene
     used: Mapping[str, tuple[str, tuple[float, ...]]]
@@ -204,10 +215,13 @@ class _Rebuilt:
     config: OptimizationConfig
     decomposed: set[str]
     made: dict[str, Pieces | None]
+    own: frozenset[str] = frozenset()
 
     def vertices(self, name: str) -> list[Array]:
         """Vertices of an object's pieces in its own frame [m], shape (n, 3) each."""
         asset_id, scale = self.used[name]
+        if name in self.own:
+            return [hull.vertices for hull in self.solids[name].hulls]
         if asset_id not in self.made:
             asset = next(row for row in self.scene.rows["assets"] if row.asset_id == asset_id)
             blobs, config = self.scene.blobs, self.config.pieces

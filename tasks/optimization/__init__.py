@@ -131,7 +131,9 @@ def run(
     losses = fidelity_losses(points, proposed, interior.proposals, poses, known, context.blobs, context.caches)
     lost = lost_supports(interior, poses)
     remains = remains_of(interior, poses, after, resolution, lost, allowed, certified)
-    contacts = contact_rows(scene_id, interior, interior.poses, before, "proposed", allowed)
+    whole = fitting.interior  # as it was proposed, before colliders were cut
+    met = Colliders(whole.solids, whole.shell).penetrations(whole.poses)
+    contacts = contact_rows(scene_id, whole, whole.poses, met, "proposed", allowed_depths(whole, met))
     contacts += contact_rows(scene_id, interior, poses, after, "optimized", allowed)
     undone = [*notes, *resolution.notes]
     unknown += pointless if isinstance(config.method, Default) else []
@@ -140,7 +142,7 @@ def run(
     notes += [f"{name}: it covers its scan less well by {loss:.2f} of its F-score" for name, loss in losses.items() if loss > MOST_LOSS]
     return Outcome(
         placements=placement_rows(scene_id, interior, poses, certified, word, remains, cut_shares, losses),
-        supports=support_rows(scene_id, interior, lost),
+        supports=support_rows(scene_id, interior, lost, dict(zip(whole.names, whole.carriers, strict=True))),
         contacts=contacts,
         optimization_steps=steps,
         optimizations=[optimization_row(scene_id, interior, resolution, contacts, word, remains, undone)],
@@ -165,12 +167,14 @@ def _scanned(instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> tuple
     """Scanned points of instances in the world frame, shape (n, 3) [m], by instance, and whose points cannot be read, a line each."""
     points: dict[str, NDArray[np.float64]] = {}
     notes = []
-    for row in instances:
+    for row in sorted(instances, key=lambda each: each.instance_id):
+        if row.is_structure:
+            continue
         try:
             points[row.instance_id] = read_points(blobs[row.points_blob], row.points_blob)[0]
         except (InputError, KeyError) as error:
             why = f"blob {error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
-            notes.append(f"{row.instance_id}: nobody knows which space is its own: {why}")
+            notes.append(f"{row.instance_id}: its neighbors keep the space that they share with it: its points cannot be read: {why}")
     return points, notes
 
 
@@ -220,9 +224,9 @@ def _shored(
         return interior, bodies, certified
     changed = with_stored_colliders(changed, blobs)
     heavier = [dataclasses.replace(body, solid=solid) for body, solid in zip(bodies, changed.solids, strict=True)]
-    anew = certify(heavier, poses, interior.shell, config.certificate, context.spread)
-    still = {row.name for row in anew if not (row.is_stable_1cm and row.is_stable_5cm)}
-    return (changed, heavier, anew) if len(still) < len(restless) else (interior, bodies, certified)
+    later = certify(heavier, poses, interior.shell, config.certificate, context.spread)
+    still = {row.name for row in later if not (row.is_stable_1cm and row.is_stable_5cm)}
+    return (changed, heavier, later) if len(still) < len(restless) else (interior, bodies, certified)
 
 
 def _stuck_depth(resolved: _Resolved) -> float:

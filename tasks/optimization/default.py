@@ -153,7 +153,9 @@ def resolve(
     for i, text in last.reasons.items():
         problems[names[i]] = "; ".join([text, *([problems[names[i]]] if names[i] in problems else [])])
     chains = method.chains if chain.start > 0 else 1
-    return Resolution(tuple(trace), chain.start, final, tried, chains, ended, tuple(notes), problems, interior, noted, settled)
+    pulled = [(names[i], math.hypot(dx, dy)) for i, (dx, dy, *_), outcome in laid.steps if outcome == "pulled_in"]
+    far = [f"{name}: pulled in by {way:.2f} m: it lay outside of the room" for name, way in pulled if way > method.most_way_m]
+    return Resolution(tuple(trace), chain.start, final, tried, chains, ended, tuple(notes), problems, interior, (*noted, *far), settled)
 
 
 class _Laid(NamedTuple):
@@ -281,6 +283,7 @@ def _brought_in(
     [m] or most of it lies outside. Moves `stand`."""
     if interior.room is None or interior.ring is None:
         return []
+    has_walls = bool(wall_faces(interior.room))
     moves = []
     groups = interior.groups()
     for i, (obj, carrier) in enumerate(zip(interior.objects, interior.carriers, strict=True)):
@@ -289,7 +292,7 @@ def _brought_in(
             outcome, way = "hung", wall_snap(obj, interior.room, carrier, supports.wall_m)
             if way is not None and math.hypot(*way) > HUNG_M:
                 way = None
-        elif interior.parent[i] < 0 and carrier.relation != "ceiling" and not interior.fixed[i]:
+        elif has_walls and interior.parent[i] < 0 and carrier.relation != "ceiling" and not interior.fixed[i]:
             ring = plan_ring(vertices_of(shapes, stand, i)[:, :2])
             share = outside_share(ring, interior.ring)
             if share > OUTSIDE_SHARE:

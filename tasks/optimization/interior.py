@@ -159,7 +159,7 @@ def _with_boards(
         if shelf is None:
             continue
         hulls = (*solid.hulls, shelf.transformed(inverse(proposal.pose)))
-        made[index[bearer]] = obj, proposal, dataclasses.replace(solid, hulls=hulls, properties=None)
+        made[index[bearer]] = obj, proposal, dataclasses.replace(solid, hulls=hulls, properties=None, shares=None)
         known[name] = Carrier("inside", bearer, 0.0, known[bearer].lift, known[name].against, is_inferred=True)
     return made, known
 

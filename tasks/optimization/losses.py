@@ -49,7 +49,8 @@ def fidelity_losses(
         if not len(scanned):
             continue
         was = first[name]
-        if was.asset_id == proposal.asset_id and _way(was, proposal, pose) < STILL_M:
+        is_same = was.asset_id == proposal.asset_id and np.array_equal(was.scale, proposal.scale)
+        if is_same and _way(was, pose) < STILL_M:
             losses[name] = 0.0
             continue
         thinned = scanned[:: max(1, -(-len(scanned) // POINTS))]
@@ -61,7 +62,7 @@ def fidelity_losses(
     return losses
 
 
-def _way(was: Proposal, now: Proposal, pose: Array) -> float:
+def _way(was: Proposal, pose: Array) -> float:
     """The farthest that a corner of an object's box went [m]."""
     half = 0.5 * np.array(was.instance.box_size)
     corners = np.array(np.meshgrid(*([-1.0, 1.0],) * 3)).reshape(3, -1).T * half + [0.0, 0.0, half[2]]

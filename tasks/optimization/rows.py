@@ -18,7 +18,7 @@ from tasks.optimization.search.descent import TOUCH_M
 from tasks.optimization.search.trace import Resolution
 from tasks.optimization.support.boundary import outside_share
 from tasks.optimization.support.resting import DEEP_M
-from tasks.optimization.support.supports import SupportConfig
+from tasks.optimization.support.supports import Carrier, SupportConfig
 
 Array = NDArray[np.float64]
 
@@ -73,8 +73,9 @@ def placement_rows(
     return sorted(rows, key=lambda row: row.instance_id)
 
 
-def support_rows(scene_id: str, interior: Interior, lost: Collection[str]) -> list[Support]:
-    """What carries each object, by instance. `lost`: the objects that it carries no more at the optimized poses."""
+def support_rows(scene_id: str, interior: Interior, lost: Collection[str], proposed: Mapping[str, Carrier]) -> list[Support]:
+    """What carries each object, by instance. `lost`: the objects that it carries no more at the optimized poses. proposed: what carried
+    each before its collider was cut, by instance: how deep it sank."""
     rows = [
         Support(
             scene_id=scene_id,
@@ -82,7 +83,7 @@ def support_rows(scene_id: str, interior: Interior, lost: Collection[str]) -> li
             relation=carrier.relation,
             parent_id=carrier.parent_id,
             against=carrier.against,
-            gap_m=carrier.gap + 0.0,
+            gap_m=(proposed[name].gap if proposed[name].parent_id == carrier.parent_id else carrier.gap) + 0.0,
             is_fixed=fixed,
             is_kept=name not in lost,
             is_inferred=carrier.is_inferred,
@@ -172,7 +173,7 @@ def remains_of(
             lines[penetration.a].append(f"{100 * penetration.depth_m:.1f} cm in {penetration.b}")
             if penetration.b in known:
                 lines[penetration.b].append(f"{100 * penetration.depth_m:.1f} cm in {penetration.a}")
-    if interior.ring is not None:
+    if interior.ring is not None and interior.shell:
         for i, (obj, solid) in enumerate(zip(interior.objects, interior.solids, strict=True)):
             if obj.instance_id in fixed:
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.capture import Frame, Instance
+from schemas.errors import InputError
 from tasks.geometry.meshes import read_points
 from tasks.geometry.transforms import inverse, matrix
 from tasks.geometry.triangles import distinct_rows
@@ -50,14 +52,13 @@ class DepthMap:
 
 
 def scene_depth_maps(frames: Sequence[Frame], instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> list[DepthMap]:
-    """Depth maps of a scene's frames from the points of all its instances, as `depth_views` makes them.
-
-    Raises:
-        InputError: points of an instance are no point cloud of this lake.
-    """
+    """Depth maps of a scene's frames from the points of all its instances that can be read, as `depth_views` makes them."""
     if not any(frame.pose is not None for frame in frames):
         return []
-    clouds = [read_points(blobs[row.points_blob], row.points_blob)[0] for row in instances if row.points_blob in blobs]
+    clouds = []
+    for row in instances:
+        with contextlib.suppress(InputError, KeyError):  # said where the instance itself is worked on
+            clouds.append(read_points(blobs[row.points_blob], row.points_blob)[0])
     return depth_views(frames, np.concatenate([np.zeros((0, 3)), *(cube_middles(points) for points in clouds)]), CUBE_M)
 
 

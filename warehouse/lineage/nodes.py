@@ -187,6 +187,7 @@ def placement_node(walk: Walk, row: Placement, absent: Sequence[str] | None = No
     """The node of a placement with its instance and asset. `absent` are exported scenes that do not hold it, where they were looked at."""
     facts = {
         **picked(row, "origin", "annotator", "annotation_match", "scale", "displacement_m", "lift_m", "method", "remains"),
+        **picked(row, "collider_blob", "collider_cut_share", "fidelity_loss"),
         "proposed_position_m": position(row.proposed_pose),
         "optimized_position_m": position(row.optimized_pose),
         "settled_position_m": position(row.settled_pose),
@@ -194,6 +195,7 @@ def placement_node(walk: Walk, row: Placement, absent: Sequence[str] | None = No
         "not_in": absent,
     }
     node = walk.node("placement", f"{row.scene_id}/{row.instance_id}", facts, walk.run(row.scene_id, "optimization"))
+    walk.check_blobs(node, (row.collider_blob,))
     follow_instance(walk, node, row.scene_id, row.instance_id, "stands for")
     asset_node(walk, node, row.asset_id, "uses")
     return node

@@ -148,7 +148,7 @@ def without_passages(shape: Polygon, lines: Sequence[Array], walls: Array) -> Po
                     continue
                 ends = np.asarray(part.exterior.segmentize(0.1).coords)[:-1]
                 is_contact = np.abs(ends[:, axis] - position) < 1.5 * _ON_LINE_M
-                if not is_contact.any() or np.ptp(ends[is_contact, 1 - axis]) > _MAX_PASSAGE_M:
+                if is_contact.all() or not is_contact.any() or np.ptp(ends[is_contact, 1 - axis]) > _MAX_PASSAGE_M:
                     continue
                 has_wall = tree.query(ends[~is_contact], distance_upper_bound=_WALL_THICKNESS_M)[0] < np.inf
                 if has_wall.mean() < _MIN_WALLED_SHARE:

@@ -119,7 +119,7 @@ def _cut_once(
     solids = list(interior.solids)
     for i in cut:
         back = inverse(poses[i])
-        solids[i] = ConvexParts(solids[i].name, tuple(hull.transformed(back) for hull in bodies[i]), None, solids[i].shares)
+        solids[i] = ConvexParts(solids[i].name, tuple(hull.transformed(back) for hull in bodies[i]))
     return dataclasses.replace(interior, solids=tuple(solids))
 
 
@@ -144,7 +144,7 @@ def _ended_at_carriers(interior: Interior) -> Interior:
             obj, pose = objects[i], interior.poses[i]
             level = float(obj.low[2]) - carrier.gap
             kept = [part for hull in solids[i].hulls if (part := beyond(hull, pose[2, :3], level - float(pose[2, 3])))]
-            made = ConvexParts(solids[i].name, tuple(kept), None, solids[i].shares)
+            made = ConvexParts(solids[i].name, tuple(kept))
             if kept and _volume(kept) >= LEAST_LEFT * _volume(solids[i].hulls) and _still_stands(solids[i], made, pose):
                 solids[i], own[i] = made, 0.0
                 objects[i] = _ended(obj, level)

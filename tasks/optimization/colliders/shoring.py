@@ -71,7 +71,7 @@ def with_plates(interior: Interior, poses: Array, wanted: Collection[int], clear
     made = list(solids)
     for i in changed:
         back = inverse(poses[i])
-        made[i] = ConvexParts(made[i].name, tuple(hull.transformed(back) for hull in placed[i]), None, made[i].shares)
+        made[i] = ConvexParts(made[i].name, tuple(hull.transformed(back) for hull in placed[i]))
     carriers = tuple(dataclasses.replace(c, is_inferred=c.is_inferred or i in plated) for i, c in enumerate(interior.carriers))
     return dataclasses.replace(interior, solids=tuple(made), carriers=carriers), frozenset(plated)
 

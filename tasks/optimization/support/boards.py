@@ -42,7 +42,7 @@ def board_bearers(placed: Sequence[PlacedAsset], carriers: Mapping[str, Carrier]
         around = [
             other
             for other in placed
-            if other.instance_id != name
+            if name not in _below(other.instance_id, carriers, bearers)
             and carriers[other.instance_id].relation != "none"
             and other.category not in HOLDS_NOTHING
             and other.low[2] < obj.low[2] < other.high[2] - EDGE_M
@@ -52,6 +52,15 @@ def board_bearers(placed: Sequence[PlacedAsset], carriers: Mapping[str, Carrier]
         if around:
             bearers[name] = min(around, key=lambda other: (float(np.prod(other.high - other.low)), other.instance_id)).instance_id
     return bearers
+
+
+def _below(name: str, carriers: Mapping[str, Carrier], bearers: Mapping[str, str]) -> set[str]:
+    """An object and all that carries it, by instance."""
+    below = {name}
+    while (above := bearers.get(name) or carriers[name].parent_id) is not None and above not in below:
+        below.add(above)
+        name = above
+    return below
 
 
 def _shared(obj: PlacedAsset, other: PlacedAsset) -> float:

@@ -160,10 +160,15 @@ def poses_of(outcome: Outcome, phase: str = "optimized") -> dict[str, np.ndarray
 
 
 def hulls_of(outcome: Outcome, scene: Scene, phase: str) -> dict[str, list[Hull]]:
-    """Convex pieces of the placed assets in the world frame, made anew from their GLBs and the rows."""
+    """Convex pieces of the placed assets in the world frame, made anew from their GLBs and the rows; as they are in the end from the blobs
+    of colliders, where rows name any."""
     poses = poses_of(outcome, phase)
     made = {}
     for row in outcome.rows["placements"]:
+        if phase == "optimized" and row.collider_blob is not None:
+            own = read_pieces(outcome.blobs[row.collider_blob], row.collider_blob)
+            made[row.instance_id] = [hull.transformed(poses[row.instance_id]) for hull in own]
+            continue
         parts = load_glb(scene.blobs[scene.assets[row.asset_id].mesh_blob])
         hulls = pieces(parts, None, PieceConfig()).hulls
         made[row.instance_id] = [hull.transformed(np.eye(4), row.scale).transformed(poses[row.instance_id]) for hull in hulls]
@@ -234,6 +239,8 @@ def crowded_scene() -> Scene:
     """The same with a second table in the first one."""
     scene = room_scene()
     scene.add(TABLE, yaw_pose(0.1, [0.1, 0.0, 0.0]), "table")
+    for x in (-1.6, -1.31):  # so little in each other that they are moved apart
+        scene.add(block(0.3, 0.3, 0.3), translation([x, 1.6, 0.0]), "box")
     return scene
 
 

@@ -59,7 +59,8 @@ def test_a_room_is_put_to_rest_and_apart(method: Released | Default) -> None:
         assert boxes[name][0, 2] == pytest.approx(height, abs=2e-4), name
     assert not [row for row in rows.values() if row.remains]
     (summary,) = outcome.rows["optimizations"]
-    assert (summary.ended, summary.loss_final, summary.deep_pairs, summary.remains) == ("zero_loss", 0.0, 0, ())
+    assert summary.ended in ("zero_loss", "nothing_to_do")
+    assert (summary.loss_final, summary.deep_pairs, summary.remains) == (0.0, 0, ())
     assert all(row.is_stable_5cm and row.start_penetration_m < DEEP_M for row in outcome.rows["certificates"])
     assert max(row.displacement_m for row in rows.values()) < 0.4
     assert rows[rug].displacement_m == 0.0
@@ -103,7 +104,7 @@ def test_what_floats_comes_down_onto_what_carries_it(method: Released | Default,
         assert boxes[name][0, 2] == pytest.approx(level, abs=2e-4), name
     assert collider_bounds(outcome, scene)["0004"][0, 2] == pytest.approx(0.0, abs=2e-4)
     gaps = {row.instance_id: row.gap_m for row in outcome.rows["supports"]}
-    assert [gaps[name] for name in sorted(gaps)] == pytest.approx([height, 0.0, height, height, 0.0 if stays else -height], abs=1e-6)
+    assert [gaps[name] for name in sorted(gaps)] == pytest.approx([height, 0.0, height, height, -height], abs=1e-6)
     assert all(row.displacement_m == 0.0 for row in outcome.rows["placements"])
     assert all(row.is_stable_1cm for row in outcome.rows["certificates"])
 
@@ -199,7 +200,7 @@ def test_generated_furniture_comes_to_rest_without_collisions(seed: int) -> None
     assert all(relations[f"{i:04d}"] == ("on", "0000") for i in (1, 2, 3)), relations
     assert all(relations[f"{i:04d}"][0] in ("floor", "on") for i in range(4, 11)), relations
     (summary,) = outcome.rows["optimizations"]
-    assert summary.loss_start > 0.1
+    assert max(row.penetration_m for row in outcome.rows["contacts"] if row.phase == "proposed") > 0.1
     assert (summary.loss_final, summary.deep_pairs) == (0.0, 0)
     boxes = bounds(outcome, scene)
     for name in ("0001", "0002", "0003"):
