@@ -168,8 +168,8 @@ def test_no_file_of_the_corpus_is_read_otherwise_without_a_word() -> None:
     corpus = Path(os.environ.get("METASCENES_CORPUS") or REPOSITORY.parent / "shared" / "corpus")
     if not corpus.is_dir():
         pytest.skip(f"the corpus is not in {corpus}; set METASCENES_CORPUS to its folder")
-    if len(missing := missing_judges()) == 2:
-        pytest.skip(f"no judge is on this machine: {missing}")
+    if missing := missing_judges():  # one alone cannot read every file
+        pytest.skip(f"a judge is not on this machine: {missing}")
     found = run_files_bench(FilesBench(corpus), lambda _: None)
     silent = [row for row in found["rows"] if row["verdict"] in ("silent", "unjudged")]
     assert silent == []

@@ -129,3 +129,23 @@ def test_the_same_scene_in_another_order_ends_at_the_same_seams() -> None:
     assert first.rows == second.rows
     assert dict(first.blobs) == dict(second.blobs)
     assert any(row.collider_blob is not None for row in first.rows["placements"])
+
+
+def test_what_stands_on_another_over_an_unseen_top_ends() -> None:
+    """A pot on a plate that nothing carries, a little sunk into it: neither is the board of the other."""
+    scene = Scene()
+    plate = scene.add(block(0.3, 0.3, 0.03), translation([0.0, 0.0, 0.75]), "thing")
+    pot = scene.add(block(0.26, 0.26, 0.25), translation([0.0, 0.0, 0.765]), "thing")
+    supports = {row.instance_id: row for row in scene.run().rows["supports"]}
+    assert supports[pot].parent_id == plate
+    assert supports[plate].parent_id is None
+
+
+def test_points_that_cannot_be_read_are_told_and_cost_nothing_else() -> None:
+    scene = Scene()
+    names = [scene.add(block(0.8, 0.8, 0.8), translation([x, 0.0, 0.0]), "cabinet") for x in (-0.3, 0.4)]
+    scene.instances[0] = dataclasses.replace(scene.instances[0], points_blob=scene.blobs.add(b"no cloud", "ply"))
+    outcome = scene.run()
+    assert len(outcome.rows["placements"]) == 2
+    assert are_apart(outcome, scene, *names)
+    assert any(text.startswith(f"{names[0]}: its neighbors keep the space") for text in outcome.degradations)

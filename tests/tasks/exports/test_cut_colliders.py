@@ -1,0 +1,42 @@
+"""Exports collide as the optimization's certificates did: where a placement has convex pieces of its own, they stand for the asset's."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from schemas.capture import Scene as SceneRow
+from tasks.exports.bodies import gather
+from tasks.exports.config import ExportsConfig
+from tasks.geometry.mass import mass_properties
+from tasks.geometry.transforms import translation
+from tests.samples import sample
+from tests.tasks.optimization.scenes import SCENE, Scene, block, colliders
+
+
+def test_pieces_of_a_placement_alone_are_those_of_the_exported_body() -> None:
+    scene = Scene()
+    cabinet = scene.add(block(1.0, 1.0, 0.8), np.eye(4), "cabinet")
+    box = scene.add(block(0.8, 0.8, 0.6), translation([0.8, 0.0, 0.0]), "box")  # 10 cm in the cabinet, which is cut
+    other = scene.add(block(1.0, 1.0, 0.8), translation([-1.3, 1.0, 0.0]), "cabinet")  # the same asset, whole
+    scene.selections[2] = dataclasses.replace(scene.selections[2], asset_id=scene.selections[0].asset_id)
+    outcome = scene.run()
+    rows = {row.instance_id: row for row in outcome.rows["placements"]}
+    assert rows[cabinet].collider_blob is not None
+    assert rows[box].collider_blob is rows[other].collider_blob is None
+    replica, missed = gather(
+        [sample(SceneRow, scene_id=SCENE)], scene.shells, scene.instances, scene.captions, list(scene.assets.values()),
+        outcome.rows["placements"], outcome.rows["supports"], {**scene.blobs, **outcome.blobs}, ExportsConfig(),
+    )  # fmt: skip
+    assert missed == []
+    bodies = {body.instance_id: body for body in replica.bodies}
+    for name, hulls in colliders(outcome, scene).items():
+        placed = [hull.transformed(bodies[name].pose) for hull in bodies[name].shape.hulls]
+        assert len(placed) == len(hulls)
+        for made, expected in zip(placed, hulls, strict=True):
+            assert np.sort(made.vertices, axis=0) == pytest.approx(np.sort(expected.vertices, axis=0), abs=1e-6)
+        assert bodies[name].shape.properties.volume == pytest.approx(mass_properties(hulls).volume, rel=1e-4)
+    assert bodies[cabinet].shape.name != bodies[other].shape.name, "one asset, two colliders"
+    assert bodies[cabinet].shape.properties.volume < 0.95 * bodies[other].shape.properties.volume
