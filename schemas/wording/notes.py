@@ -95,7 +95,8 @@ def _together(notes: Sequence[_Note]) -> str:
     elif names:
         rest = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
         counted = f"{len(names)} objects ({', '.join(names[:MAX_NAMES])}{rest})" if len(names) > 1 else names[0]
-        parts = [first.place, counted, first.text if len({note.text for note in notes}) == 1 else f"of {first.name}: {first.text}"]
+        differ = len({note.text for note in notes}) > 1  # in numbers: those of the first are told
+        parts = [first.place, f"{counted}, the first" if differ else counted, first.text]
     else:
         parts = [first.place, f"{first.text} (and {len(notes) - 1} more of this kind)"]
     return ": ".join(part for part in parts if part)

@@ -20,10 +20,11 @@ def note(stage: str, text: str, scene: str = SCENE) -> str:
 def test_notes_of_one_kind_are_one_line() -> None:
     lines = [note("captions", f"{k:04d} chair: mass {k}.5 kg is above the range of chair (3 to 12 kg); 12 kg taken") for k in range(8)]
     (line,) = condensed(lines)
-    assert line.startswith(f"{SCENE}: captions: 8 objects (0000 chair, 0001 chair, 0002 chair and 5 more): mass 0.5 kg is above")
+    assert line.startswith(f"{SCENE}: captions: 8 objects (0000 chair, 0001 chair, 0002 chair and 5 more), the first: mass 0.5 kg is above")
     assert condensed(lines[:1]) == lines[:1]
     (pair,) = condensed(lines[:2])
-    assert "2 objects (0000 chair, 0001 chair): " in pair
+    assert "2 objects (0000 chair, 0001 chair), the first: mass 0.5 kg" in pair
+    assert condensed([note("capture", f"{k:04d}: too small") for k in range(2)]) == [f"{SCENE}: capture: 2 objects (0000, 0001): too small"]
 
 
 def test_other_notes_of_one_kind_are_counted() -> None:
