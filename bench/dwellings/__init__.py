@@ -43,7 +43,7 @@ OTHERS_SECONDS = 7200.0
 
 @dataclasses.dataclass(frozen=True)
 class DwellingsBench:
-    """What is measured.
+    """Settings of the benchmark.
 
     Attributes:
         folder: where finished rooms are remembered, so that the same command goes on; nowhere if None.

@@ -35,7 +35,7 @@ def home_of(kind: Kind, seed: int, index: int, realdata: Path | None = None) -> 
 
 
 def has_frames(index: int) -> bool:
-    """Whether room `index` is scanned with its frames: every other one."""
+    """True if room `index` is scanned with its frames: every other one."""
     return index % 2 == 0
 
 

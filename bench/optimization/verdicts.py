@@ -145,7 +145,7 @@ def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Caches) 
     rebuilt = _Rebuilt(scene, used, solids, config, {asset for asset, made in known.items() if made.method == "cut"}, {})
 
     def laboratory_with(own: Mapping[str, ConvexParts]) -> _Laboratory:
-        """Where objects have other colliders than their assets', by name."""
+        """The laboratory with colliders of placements, by name, in place of their assets'."""
         used_solids = {name: own.get(name, solid) for name, solid in solids.items()}
         measures = Measures(list(used_solids.values()), categories, polygon, room.height_m if room else np.inf)
         met = Colliders(list(used_solids.values()), shell) if own else colliders

@@ -117,7 +117,8 @@ def run(
     bodies, unknown = bodies_of(interior, captions, config.bodies)
     certified, allowed = certify(bodies, poses, interior.shell, config.certificate, context.spread), allowed_depths(interior, before)
     if isinstance(config.method, Default):
-        interior, bodies, certified = _shored(interior, poses, bodies, certified, config, context, blobs)
+        shored = _shored(interior, poses, bodies, certified, after, allowed, config, context, blobs)
+        interior, bodies, certified, after = shored
     if isinstance(config.method, Default) and config.method.lets_fall:
         fall = let_fall(interior, poses, certified, bodies, allowed, config.method, config.certificate, context.spread)
         poses, certified = fall.poses, fall.certified
@@ -211,22 +212,25 @@ def _steadied(interior: Interior, method: Default, supports: SupportConfig) -> I
 
 
 def _shored(
-    interior: Interior, poses: NDArray[np.float64], bodies: list[RigidBody], certified: list[Certified], config: OptimizationConfig,
-    context: Context, blobs: Blobs,
-) -> tuple[Interior, list[RigidBody], list[Certified]]:  # fmt: skip
-    """The interior at `poses`, shape (n, 4, 4) [m], its bodies and certificates: where that keeps more objects, those that do not stay on
-    plates."""
+    interior: Interior, poses: NDArray[np.float64], bodies: list[RigidBody], certified: list[Certified], after: list[Penetration],
+    allowed: Mapping[tuple[str, str], float], config: OptimizationConfig, context: Context, blobs: Blobs,
+) -> tuple[Interior, list[RigidBody], list[Certified], list[Penetration]]:  # fmt: skip
+    """The interior at `poses`, shape (n, 4, 4) [m], its bodies, certificates and penetrations, with plates under objects that do not stay,
+    if more of them stay then and no pair gets deep. allowed: depths to which pairs may be in each other [m]."""
     restless = {row.name for row in certified if not (row.is_stable_1cm and row.is_stable_5cm)}
     standing = [carrier.relation in ("floor", "on", "inside") for carrier in interior.carriers]
     wanted = [i for i, name in enumerate(interior.names) if name in restless and standing[i] and not interior.fixed[i]]
     changed, plated = with_plates(interior, poses, wanted, CLEAR_M)
     if not plated:
-        return interior, bodies, certified
+        return interior, bodies, certified, after
     changed = with_stored_colliders(changed, blobs)
     heavier = [dataclasses.replace(body, solid=solid) for body, solid in zip(bodies, changed.solids, strict=True)]
+    met = Colliders(changed.solids, changed.shell).penetrations(poses)
+    if len(_deep(met, allowed)) > len(_deep(after, allowed)):
+        return interior, bodies, certified, after
     later = certify(heavier, poses, interior.shell, config.certificate, context.spread)
     still = {row.name for row in later if not (row.is_stable_1cm and row.is_stable_5cm)}
-    return (changed, heavier, later) if len(still) < len(restless) else (interior, bodies, certified)
+    return (changed, heavier, later, met) if len(still) < len(restless) else (interior, bodies, certified, after)
 
 
 def _stuck_depth(resolved: _Resolved) -> float:
@@ -235,9 +239,13 @@ def _stuck_depth(resolved: _Resolved) -> float:
 
 
 def _stuck(resolved: _Resolved) -> list[Penetration]:
-    """What is still in something else in the end."""
-    allowed = allowed_depths(resolved.interior, resolved.before)
-    return [p for p in resolved.after if p.depth_m > DEEP_M + allowed.get((p.a, p.b), 0.0)]
+    """Penetrations that are still deep in the end."""
+    return _deep(resolved.after, allowed_depths(resolved.interior, resolved.before))
+
+
+def _deep(penetrations: Sequence[Penetration], allowed: Mapping[tuple[str, str], float]) -> list[Penetration]:
+    """Penetrations deeper than `DEEP_M` beyond what is allowed [m]."""
+    return [p for p in penetrations if p.depth_m > DEEP_M + allowed.get((p.a, p.b), 0.0)]
 
 
 def _resolved(interior: Interior, config: OptimizationConfig, context: Context, anywhere: Collection[str] = ()) -> _Resolved:

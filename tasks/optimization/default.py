@@ -43,13 +43,13 @@ OUTSIDE_SHARE = 0.02
 """An object of which less lies outside of the floor, seen from above, only touches a wall that was estimated."""
 
 HUNG_M = 0.05
-"""What hangs farther off its wall, or in it [m], hangs where it was scanned: the wall is less sure than its points."""
+"""Objects that hang farther off their wall, or in it [m], stay where they were scanned: the wall is less sure than their points."""
 
 PULLED_M = 0.05
-"""What reaches farther through a wall [m] is not pulled in, but ends at the wall: nobody moves a bookshelf because of an outline."""
+"""Objects that reach farther through a wall [m] are not pulled in: their colliders end at the wall."""
 
 LEAN_RADIANS = 0.1
-"""What tips by more, 6 degrees, does not stand as it was scanned."""
+"""Objects that tip by more, 6 degrees, do not stand as they were scanned."""
 
 MOSTLY_OUTSIDE = 0.5
 """Of an object's plan: what lies farther outside than this is pulled in all the same."""

@@ -90,7 +90,7 @@ def _stands(interior: Interior, most_tilt: float) -> bool:
 
 
 def stands_alone(solid: ConvexParts, pose: NDArray[np.float64], most_tilt: float = MOST_LEAN_RADIANS) -> bool:
-    """Whether a solid at a rigid pose, 4x4 [m], stands on level ground, or tips by `MOST_LEAN_RADIANS` and `most_tilt` [rad] at most until
+    """True if a solid at a rigid pose, 4x4 [m], stands on level ground, or tips by `MOST_LEAN_RADIANS` and `most_tilt` [rad] at most until
     it does."""
     shapes = shapes_of([solid], pose[None])
     stand = stand_of(shapes, pose[None, :3, 3])

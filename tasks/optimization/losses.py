@@ -1,4 +1,4 @@
-"""What the optimization costs: how much worse an object covers its scan in the end than where selection, or a person, put it."""
+"""Fidelity that the optimization costs: F-scores of objects in the end against those where selection, or a person, put them."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ MOST_LOSS = 0.05
 """A greater loss is said."""
 
 STILL_M = 0.005
-"""What moved less has lost nothing [m]."""
+"""Objects that moved less [m] have lost nothing."""
 
 
 def fidelity_losses(
     points: Mapping[str, Array], before: Sequence[Proposal], after: Sequence[Proposal], poses: Array, assets: Mapping[str, Asset],
     blobs: Mapping[str, bytes], caches: Caches,
 ) -> dict[str, float]:  # fmt: skip
-    """How much less the F-score of objects at `WITHIN_M` is in the end, by instance; zero where it is not less, nothing where an object has
+    """Loss of F-score of objects at `WITHIN_M`, by instance; zero where it is not less, nothing where an object has
     no scanned points.
 
     points: scanned points in the world frame, shape (n, 3) [m], by instance. before: assets as they were proposed. after, poses: assets in

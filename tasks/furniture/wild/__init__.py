@@ -136,7 +136,7 @@ def wild_room(seed: int | tuple[int, ...], foreign: Sequence[ForeignFile] = ()) 
     _rug(furnisher)
     _curtains(furnisher, plan)
     _foreign(furnisher, foreign)
-    _glass(furnisher, plan)
+    _glass(furnisher)
     for category in (WALLED[int(k)] for k in rng.permutation(len(WALLED))[:3]):
         if is_drawn(category):
             furnisher.against_wall(category)
@@ -239,7 +239,7 @@ def _music(furnisher: WildFurnisher) -> None:
         furnisher.along_walls(category, sized, gap=0.001)
 
 
-def _glass(furnisher: WildFurnisher, plan: FloorPlan) -> None:
+def _glass(furnisher: WildFurnisher) -> None:
     """Glass shelves at walls, with things on them that seem to hang in the air."""
     rng = furnisher.rng
     for _ in range(2):

@@ -57,7 +57,7 @@ def solid_hull(points: Array) -> Hull | None:
 
 
 def without(hull: Hull, other: Hull, margin: float = 0.0) -> list[Hull]:
-    """What of a hull lies outside of another one, at least `margin` [m] off its faces: up to `MOST_PARTS` convex parts that share faces and
+    """Parts of a hull outside of another one, at least `margin` [m] off its faces: up to `MOST_PARTS` convex parts that share faces and
     together lose as little as planes through the faces of the other allow. The hull itself where the other is not in it."""
     normals, offsets = face_planes(other.vertices, other.faces, 1e-14)
     _, first = np.unique(np.round(np.column_stack([normals, offsets]), 6), axis=0, return_index=True)

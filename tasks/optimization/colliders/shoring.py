@@ -87,7 +87,7 @@ def _ring(points: Array) -> Array | None:
 
 
 def _holds(ring: Array, center: Array) -> bool:
-    """Whether a center of mass, shape (2,), lies well within the convex hull of points in plan, shape (n, 2) [m]."""
+    """True if a center of mass, shape (2,), lies well within the convex hull of points in plan, shape (n, 2) [m]."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -99,14 +99,14 @@ def _holds(ring: Array, center: Array) -> bool:
 
 
 def _is_near(hull: Hull, ring: Array, low: float) -> bool:
-    """Whether a piece may reach into a plate, or the board below it."""
+    """True if a piece may reach into a plate, or the board below it."""
     first, last = hull.vertices.min(axis=0), hull.vertices.max(axis=0)
     in_plan = bool((first[:2] <= ring.max(axis=0)).all() and (last[:2] >= ring.min(axis=0)).all())
     return in_plan and bool(first[2] < low + PLATE_M and last[2] > low - BOARD_M)
 
 
 def _beside(hull: Hull | None, around: Sequence[Hull], clear: float) -> list[Hull]:
-    """What of a hull is in none of some others, as convex parts; none of no hull."""
+    """Convex parts of a hull that lie in none of several other hulls; none if there is no hull."""
     if hull is None:
         return []
     parts = [hull]
