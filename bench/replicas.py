@@ -51,7 +51,7 @@ def as_drawn(scene: BenchScene) -> tuple[dict[str, list[Any]], Mapping[str, byte
             annotation_match=None, scale=row.scale, proposed_pose=row.pose, optimized_pose=flat((scene.drawn_poses or {})[row.instance_id]),
             displacement_m=0.0, lift_m=0.0, method="default", settled_pose=None, remains=None,
             collider_pieces=None, collider_faces=None, collider_early_share=None, collider_miss_share=None,
-            collider_blob=None, collider_cut_share=None, fidelity_loss=None,
+            collider_blob=None, collider_cut_share=None, collider_distance_m=None, fidelity_loss=None,
         )
         for row in scene.rows["selections"]
     ]  # fmt: skip

@@ -73,6 +73,12 @@ class Placement:
         minimum=0,
         maximum=1,
     )
+    collider_distance_m: float | None = column(
+        "95 % of the points on the asset's surface lie within this distance of the surface of its pieces; points within 2 cm of another "
+        "object's pieces, a wall or the floor do not count; missing where there are no others, or where a finished dataset has no pieces",
+        unit="m",
+        minimum=0,
+    )
     fidelity_loss: float | None = column(
         "How much less the F-score at 5 cm of the asset and the object's scanned points is than where selection, or a person, put it; "
         "missing where the object has no points",

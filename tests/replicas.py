@@ -123,7 +123,7 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
                 scale=item.scale, proposed_pose=pose, optimized_pose=pose, displacement_m=0.0, lift_m=0.0, method="default",
                 settled_pose=None, remains=None,
                 collider_pieces=None, collider_faces=None, collider_early_share=None, collider_miss_share=None,
-                collider_blob=None, collider_cut_share=None, fidelity_loss=None,
+                collider_blob=None, collider_cut_share=None, collider_distance_m=None, fidelity_loss=None,
             )
         )  # fmt: skip
         rows["supports"].append(

@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 FAR_M = (0.15, 0.3)
 """Objects that moved, or are off, by more than these are counted [m]."""
 
+COLLIDER_M = 0.03
+"""Colliders farther from the visual surface than this [m] are counted, seams apart."""
+
 BATCH = 25
 """Seconds are told for so many objects."""
 
@@ -48,6 +51,7 @@ FIGURES: tuple[tuple[str, str, str], ...] = (
     ("moved_15cm", "objects moved by more than 15 cm from the scan (of a failed room all)", "count"),
     ("moved_30cm", "by more than 30 cm", "count"),
     ("moved_share", "share of the placed objects that moved by more than 15 cm", "percent"),
+    ("collider_far_share", "share whose collider is more than 3 cm from what is seen", "percent"),
     ("off_15cm", "objects more than 15 cm off the truth (of a failed room all)", "count"),
     ("off_30cm", "more than 30 cm", "count"),
     ("openings", "doors and windows to be seen", "count"),
@@ -76,7 +80,8 @@ SHARES: Mapping[str, str] = {
     "annotated_share": "free", "stable_1cm": "free", "stable_5cm": "free", "stable_nudged": "free", "silhouette": "openings",
     "openings_seen": "openings", "categories_right": "placed", "rooms_right": "true_rooms", "unseen": "rooms", "seconds_per_25": "objects",
     "object_f_5cm": "rooms", "unexplained_share": "rooms",
-    "moved_share": "placed", "object_completeness_5cm": "rooms", "anchored_share": "annotated", "ways_open": "ways",
+    "moved_share": "placed",
+    "collider_far_share": "placed", "object_completeness_5cm": "rooms", "anchored_share": "annotated", "ways_open": "ways",
     "regions_per_object": "rooms", "optimization_cpu_per_25": "objects",
     "annotated_1cm": "annotated", "annotated_5cm": "annotated", "annotated_nudged": "annotated",
 }  # fmt: skip
@@ -102,7 +107,8 @@ def judged(
     moved_to = replica.true_to_world(matrix(truth.alignment))
     off = [offset(obj, placed[obj.name], replica, moved_to) for obj in truth.objects if obj.name in placed]
     # how far the optimization took an object from where the scan shows it
-    moved = [math.hypot(row.displacement_m or 0.0, row.lift_m or 0.0) for row in (replica.placements[name] for name in placed.values())]
+    rows = [replica.placements[name] for name in placed.values()]
+    moved = [math.hypot(row.displacement_m or 0.0, row.lift_m or 0.0) for row in rows]
     stands_for = parts_of(truth, source)
     drawn = FirstHits([(name.partition("|")[0], mesh) for name, mesh in home.furnished.named_parts()])
     hits = FirstHits(replica.parts)
@@ -141,6 +147,7 @@ def judged(
         "moved_15cm": sum(far > FAR_M[0] for far in moved),
         "moved_30cm": sum(far > FAR_M[1] for far in moved),
         "moved_share": mean([far > FAR_M[0] for far in moved]),
+        "collider_far_share": mean([(row.collider_distance_m or 0.0) > COLLIDER_M for row in rows]),
         "off_15cm": sum(far > FAR_M[0] for far in off),
         "off_30cm": sum(far > FAR_M[1] for far in off),
         "openings": len(shares),
@@ -242,6 +249,7 @@ def lost_room(
         "anchored": math.nan, "annotated": held, "annotated_1cm": 0.0, "annotated_5cm": 0.0, "annotated_nudged": 0.0,
         "unseen_objects": unseen, "left_out": free, "fitted_left_out": len(home.objects) - free, "deep_pairs": math.nan,
         "object_f_5cm": 0.0, "object_completeness_5cm": 0.0, "unexplained_share": 1.0, "anchored_share": math.nan, "moved_share": math.nan,
+        "collider_far_share": math.nan,
         "moved_15cm": len(home.objects), "moved_30cm": len(home.objects), "off_15cm": len(home.objects), "off_30cm": len(home.objects),
         "openings": openings, "silhouette": 0.0, "openings_seen": 0.0, "ways": ways, "ways_open": 0.0, "categories_right": math.nan,
         "true_rooms": len(home.plan.rooms), "rooms_found": math.nan, "rooms_right": 0.0,

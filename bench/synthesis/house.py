@@ -101,7 +101,7 @@ def _placement(name: str, obj: SceneryObject) -> Placement:
         scene_id=SCENE, instance_id=name, asset_id=_asset_id(name), origin="imported", annotator=None, annotation_match=None,
         scale=(1.0, 1.0, 1.0), proposed_pose=pose, optimized_pose=pose, settled_pose=None, displacement_m=None, lift_m=None,
         method="imported", remains=None, collider_pieces=None, collider_faces=None, collider_early_share=None, collider_miss_share=None,
-        collider_blob=None, collider_cut_share=None, fidelity_loss=None,
+        collider_blob=None, collider_cut_share=None, collider_distance_m=None, fidelity_loss=None,
     )  # fmt: skip
 
 

@@ -133,7 +133,7 @@ def _rows(room: ToppedRoom) -> dict[str, list[Any]]:
                 scene_id=room.scene_id, instance_id=name, asset_id=asset.asset_id, origin="imported", annotator=None, annotation_match=None,
                 scale=(1.0, 1.0, 1.0), proposed_pose=flat(pose), optimized_pose=flat(pose), settled_pose=None, displacement_m=None,
                 lift_m=None, method="imported", remains=None, collider_pieces=None, collider_faces=None, collider_early_share=None,
-                collider_miss_share=None, collider_blob=None, collider_cut_share=None, fidelity_loss=None,
+                collider_miss_share=None, collider_blob=None, collider_cut_share=None, collider_distance_m=None, fidelity_loss=None,
             )
         )  # fmt: skip
         supports.append(

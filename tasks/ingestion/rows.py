@@ -226,5 +226,6 @@ def _placement(scene_id: str, instance: FinishedObject, asset_id: str, shift: np
         collider_miss_share=None,
         collider_blob=None,
         collider_cut_share=None,
+        collider_distance_m=None,
         fidelity_loss=None,
     )

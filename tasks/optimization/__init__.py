@@ -23,6 +23,7 @@ from tasks.optimization import default, paper, released
 from tasks.optimization.bodies import BodyConfig, bodies_of
 from tasks.optimization.certificates import CertificateConfig, Certified, certificate_rows, certify
 from tasks.optimization.clearance import keep_clear
+from tasks.optimization.colliders.distances import collider_distances
 from tasks.optimization.colliders.seams import CLEAR_M, SEAM_M, Seams, cut_at_seams, with_stored_colliders
 from tasks.optimization.colliders.shoring import with_plates
 from tasks.optimization.contacts import Colliders, Penetration
@@ -130,6 +131,7 @@ def run(
     final = {p.instance.instance_id: p.asset_id for p in interior.proposals}
     changed = [f"{name}: {text}" for name, (asset_id, text) in notable.items() if final.get(name) == asset_id]
     losses = fidelity_losses(points, proposed, interior.proposals, poses, known, context.blobs, context.caches)
+    distances = collider_distances(interior, poses, known, context.blobs, context.caches)
     lost = lost_supports(interior, poses)
     remains = remains_of(interior, poses, after, resolution, lost, allowed, certified)
     whole = fitting.interior  # as it was proposed, before colliders were cut
@@ -142,7 +144,7 @@ def run(
     notes += [f"{name}: {text}" for name, text in remains.items()]
     notes += [f"{name}: it covers its scan less well by {loss:.2f} of its F-score" for name, loss in losses.items() if loss > MOST_LOSS]
     return Outcome(
-        placements=placement_rows(scene_id, interior, poses, certified, word, remains, cut_shares, losses),
+        placements=placement_rows(scene_id, interior, poses, certified, word, remains, cut_shares, distances, losses),
         supports=support_rows(scene_id, interior, lost, dict(zip(whole.names, whole.carriers, strict=True))),
         contacts=contacts,
         optimization_steps=steps,

@@ -37,9 +37,10 @@ UPSIDE_DOWN = -0.5
 
 def placement_rows(
     scene_id: str, interior: Interior, poses: Array, certified: Sequence[Certified], method: str, remains: Mapping[str, str],
-    cut: Mapping[str, float], losses: Mapping[str, float],
+    cut: Mapping[str, float], distances: Mapping[str, float], losses: Mapping[str, float],
 ) -> list[Placement]:  # fmt: skip
-    """Placements, by instance. cut: shares of the volume of colliders that was cut away, by instance. losses: of F-scores, by instance."""
+    """Placements, by instance. cut: shares of the volume of colliders that was cut away. distances: of colliders from what is seen
+    [m]. losses: of F-scores. All three by instance."""
     settled = {row.name: row.settled_pose for row in certified if row.engine == "mujoco" and row.settled_pose is not None}
     rows = []
     for proposal, solid, pose in zip(interior.proposals, interior.solids, poses, strict=True):
@@ -67,6 +68,7 @@ def placement_rows(
                 collider_miss_share=None if solid.shares is None else solid.shares.miss,
                 collider_blob=solid.blob,
                 collider_cut_share=cut.get(name, 0.0),
+                collider_distance_m=distances.get(name),
                 fidelity_loss=losses.get(name),
             )
         )

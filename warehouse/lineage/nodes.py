@@ -187,7 +187,7 @@ def placement_node(walk: Walk, row: Placement, absent: Sequence[str] | None = No
     """The node of a placement with its instance and asset. `absent` are exported scenes that do not hold it, where they were looked at."""
     facts = {
         **picked(row, "origin", "annotator", "annotation_match", "scale", "displacement_m", "lift_m", "method", "remains"),
-        **picked(row, "collider_blob", "collider_cut_share", "fidelity_loss"),
+        **picked(row, "collider_blob", "collider_cut_share", "collider_distance_m", "fidelity_loss"),
         "proposed_position_m": position(row.proposed_pose),
         "optimized_position_m": position(row.optimized_pose),
         "settled_position_m": position(row.settled_pose),

@@ -18,6 +18,7 @@ SELECT
     0.001 AS collider_miss_share,
     NULL AS collider_blob,
     0.0 AS collider_cut_share,
+    0.0 AS collider_distance_m,
     0.0 AS fidelity_loss,
     'default' AS method,
     CASE WHEN u(object, 'remains') < 0.01 THEN 'nothing carries it' END AS remains

@@ -67,7 +67,7 @@ def furnished(
             scale=(1.0, 1.0, 1.0), proposed_pose=pose, optimized_pose=pose, displacement_m=0.0, lift_m=0.0, method="default",
             settled_pose=None, remains=None,
             collider_pieces=None, collider_faces=None, collider_early_share=None, collider_miss_share=None,
-            collider_blob=None, collider_cut_share=None, fidelity_loss=None,
+            collider_blob=None, collider_cut_share=None, collider_distance_m=None, fidelity_loss=None,
         ))  # fmt: skip
     scene = Scene(
         scene_id=SCENE, room_id="demo/room", dataset="demo", scan="room_00", scan_format="scannet", scan_path="room_00",
