@@ -14,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from schemas.record import check
+from schemas.tables import TABLES
 from tasks.geometry.meshes import Surface
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import inverse, look_at, yaw_pose
+from tasks.stage import Outcome
 
 ROOM = np.array([4.0, 3.0, 2.5])
 """Extents of the room [m]; it is centered, its floor at z = 0."""
@@ -49,6 +52,13 @@ class BoxRoom:
     instance: NDArray[np.int64]
     labels: tuple[str, ...]
     cameras: tuple[Camera, ...]
+
+
+def well_formed(outcome: Outcome) -> Outcome:
+    """The outcome, all of whose rows the lake's tables take."""
+    for table, rows in outcome.rows.items():
+        check(rows, TABLES[table].record)
+    return outcome
 
 
 def plate(corner: Sequence[float], u: Sequence[float], v: Sequence[float], step: float = 0.05) -> Mesh:

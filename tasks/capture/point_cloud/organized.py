@@ -90,7 +90,7 @@ def grid_frame(pcd: Pcd, path: Path, name: str) -> GridFrame | None:
     size = (header.width, header.height)
     depth_image = depth.reshape(header.height, header.width)
     frame = FrameSource(
-        frame_id="0", color_file=path.name, depth_file=path.name, width=size[0], height=size[1], intrinsics=lens, depth_size=size,
+        frame_id="000000", color_file=path.name, depth_file=path.name, width=size[0], height=size[1], intrinsics=lens, depth_size=size,
         depth_intrinsics=lens, depth_scale=1.0, pose=pose, color=partial(_held, image), depth=partial(_held, depth_image),
     )  # fmt: skip
     return GridFrame(frame, from_file, tuple(notes))

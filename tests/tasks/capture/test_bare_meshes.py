@@ -24,7 +24,7 @@ from tasks.geometry.meshes import Surface, dump_glb, load_glb
 from tasks.geometry.transforms import translation, yaw_pose
 from tasks.geometry.triangles import face_areas
 from tasks.stage import Context, Outcome
-from tests.capture_scans import OBJECTS, box_room
+from tests.capture_scans import OBJECTS, box_room, well_formed
 
 Part = tuple[str, tuple[float, float, float], tuple[float, float, float]]
 SHELL: tuple[Part, ...] = (
@@ -49,7 +49,7 @@ def written(path: Path, parts: Sequence[Part], names: Sequence[str] | None = Non
 def captured(path: Path) -> Outcome:
     (scan,), errors = find_scans(path)
     assert not errors
-    return run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig())
+    return well_formed(run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig()))
 
 
 def bare(path: Path) -> str:

@@ -18,8 +18,6 @@ from PIL import Image
 
 from schemas.errors import InputError
 from schemas.families.scan_formats import SCAN_FORMATS
-from schemas.record import check
-from schemas.tables import TABLES
 from tasks.capture import CaptureConfig, Scan, find_scans, run
 from tasks.capture.files.documents import floats, integers
 from tasks.capture.files.images import image_size, read_color, read_depth
@@ -31,7 +29,17 @@ from tasks.capture.labels import label_map
 from tasks.capture.scannet import read_scannet
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.stage import Context, Outcome
-from tests.capture_scans import BoxRoom, box_room, matrix_text, ply_bytes, rendered, sens_bytes, write_posed_rgbd, write_scannet
+from tests.capture_scans import (
+    BoxRoom,
+    box_room,
+    matrix_text,
+    ply_bytes,
+    rendered,
+    sens_bytes,
+    well_formed,
+    write_posed_rgbd,
+    write_scannet,
+)
 
 MESH, SEGMENTS = "scene0001_00_vh_clean_2.ply", "scene0001_00_vh_clean_2.0.010000.segs.json"
 AGGREGATION, METADATA = "scene0001_00.aggregation.json", "scene0001_00.txt"
@@ -50,10 +58,7 @@ def scan(room: BoxRoom, tmp_path: Path) -> Path:
 def captured(path: Path) -> Outcome:
     (scan,), errors = find_scans(path)
     assert not errors
-    outcome = run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig())
-    for table, rows in outcome.rows.items():
-        check(rows, TABLES[table].record)
-    return outcome
+    return well_formed(run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig()))
 
 
 def refused(path: Path) -> InputError:

@@ -29,7 +29,7 @@ from tasks.capture.premises import Premises
 from tasks.capture.scan import Scan, license_path
 from tasks.capture.wholeness import find_gap
 from tasks.stage import Context, Outcome
-from tests.capture_scans import box_room, write_posed_rgbd, write_scannet
+from tests.capture_scans import box_room, well_formed, write_posed_rgbd, write_scannet
 from warehouse.lake import Lake
 
 SECRET = "the first line of somebody's file"
@@ -55,7 +55,7 @@ def scans(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def captured(scan: Scan) -> Outcome:
-    return run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig(max_view_frames=2))
+    return well_formed(run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig(max_view_frames=2)))
 
 
 def only(scans: Path, links_into: tuple[Path, ...] = ()) -> Scan:

@@ -21,7 +21,7 @@ from tasks.capture.wholeness import find_gap
 from tasks.geometry.transforms import matrix, transform_points, yaw_pose
 from tasks.geometry.triangles import face_areas
 from tasks.stage import Context
-from tests.capture_scans import OBJECTS, ROOM
+from tests.capture_scans import OBJECTS, ROOM, well_formed
 from tests.tasks.capture.formats.written import (
     Array,
     assert_same_instances,
@@ -192,7 +192,7 @@ def test_boxes_are_instances_and_walls_the_shell(tmp_path: Path) -> None:
     """Every box comes back with its category and corners; floor, walls and ceiling lie in the middle of theirs."""
     write_multiscan_boxes(tmp_path / SCAN, boxes(), np.eye(4))
     scan = only_scan(tmp_path)
-    outcome = run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig())
+    outcome = well_formed(run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig()))
     (scene,), (shell,) = outcome.rows["scenes"], outcome.rows["shells"]
     assert (scene.scene_id, scene.segmentation) == (f"multiscan/{SCAN}", "file")
     assert [row.category for row in outcome.rows["instances"]] == ["floor", "ceiling", *["wall"] * 4, "door", "table", "chair", "cabinet"]
@@ -302,7 +302,7 @@ def test_boxes_of_a_real_annotation_come_back(realdata: Callable[[str], Path]) -
     assert len(listed) == 28
     scan = only_scan(folder)
     assert (scan.scene_id, room_of(scan)) == ("multiscan/scene_00000_00", "multiscan/scene_00000")
-    outcome = run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig())
+    outcome = well_formed(run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig()))
     world = matrix(outcome.rows["scenes"][0].alignment)
     rows = {row.source_id: row for row in outcome.rows["instances"]}
     assert [*rows] == [entry["label"] for entry in listed if entry["label"] != "remove"]

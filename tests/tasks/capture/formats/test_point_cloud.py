@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.errors import InputError
+from tasks.capture import CaptureConfig, run
 from tasks.capture.files.ply_elements import PlyColumn
 from tasks.capture.formats import find_scans, scan_files
 from tasks.capture.point_cloud import POINT_CLOUD, file_points
@@ -21,7 +22,8 @@ from tasks.capture.point_cloud.pcd import read_pcd
 from tasks.capture.point_cloud.points import Points, points_of_columns
 from tasks.capture.point_cloud.rows import read_rows
 from tasks.geometry.rendering import RayScene
-from tests.capture_scans import box_room
+from tasks.stage import Context
+from tests.capture_scans import box_room, well_formed
 from tests.conftest import REPOSITORY
 from tests.tasks.capture.formats.clouds import WRITERS, Cloud, pcd_bytes, ply_bytes, sampled, small_cloud, text_rows, write_e57, write_las
 
@@ -343,6 +345,8 @@ def test_a_grid_of_points_is_the_frame_of_a_camera(viewpoint: np.ndarray | None,
     assert frame.depth is not None
     assert np.allclose(frame.depth().ravel(), np.nan_to_num(depth), atol=1e-6)
     assert np.array_equal(frame.color().reshape(-1, 3), cloud.colors)
+    outcome = well_formed(run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig()))
+    assert len(outcome.rows["frames"]) == 1
 
 
 OFFICE = REPOSITORY.parent / "shared" / "realdata" / "rgbd_pcl_office"

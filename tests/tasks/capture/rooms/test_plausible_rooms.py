@@ -16,14 +16,14 @@ from tasks.geometry.meshes import Surface, surface_of
 from tasks.optimization.support.walls import wall_faces
 from tasks.shell import room_shell
 from tasks.stage import Context, Outcome
-from tests.capture_scans import BoxRoom, box_room, ply_bytes, write_scannet
+from tests.capture_scans import BoxRoom, box_room, ply_bytes, well_formed, write_scannet
 
 UNIT_QUESTION = "are its coordinates in meters?"
 
 
 def captured(folder: Path) -> Outcome:
     (scan,), _ = find_scans(folder)
-    return run(scan=scan, context=Context(scan.scene_id, "capture", 0, {}), config=CaptureConfig())
+    return well_formed(run(scan=scan, context=Context(scan.scene_id, "capture", 0, {}), config=CaptureConfig()))
 
 
 def cut_room(height: float, last_label: str | None = None) -> BoxRoom:

@@ -24,6 +24,7 @@ from tasks.capture.small_objects.lifting import DepthView
 from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import matrix, translation
 from tasks.stage import Context, Outcome
+from tests.capture_scans import well_formed
 from tests.tasks.capture.segmentation.test_frame import FLOOR, SHOWN, TOP, shown
 from tests.tasks.capture.segmentation.test_strips import EYE_M, block, room
 
@@ -35,7 +36,7 @@ def reading_of(folder: Path, views: list[DepthView]) -> Reading:
 
 def captured(folder: Path, views: list[DepthView]) -> Outcome:
     (scan,), _ = find_scans(write_scan(folder, views))
-    return run(scan=scan, context=Context(scan.scene_id, "capture", 0, {}), config=CaptureConfig())
+    return well_formed(run(scan=scan, context=Context(scan.scene_id, "capture", 0, {}), config=CaptureConfig()))
 
 
 @pytest.mark.parametrize("pitch", [0.35, 0.8, 1.2])

@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 
 from schemas.capture import Instance
-from schemas.record import check
-from schemas.tables import TABLES
 from tasks.calls.ledger import Recollection
 from tasks.capture import CaptureConfig, find_scans, run
 from tasks.capture.instances.rows import scanned_solid
@@ -33,7 +31,7 @@ from tasks.capture.small_objects.supports import SupportSlab
 from tasks.geometry.meshes import Surface, load_glb, read_points, surface_of
 from tasks.geometry.transforms import inverse, matrix, transform_points, translation, yaw_pose
 from tasks.stage import Context, Outcome
-from tests.capture_scans import OBJECTS, SCAN_FROM_WORLD, BoxRoom, box_room, write_scannet
+from tests.capture_scans import OBJECTS, SCAN_FROM_WORLD, BoxRoom, box_room, well_formed, write_scannet
 from tests.tasks.calls.servers import Server, refuses, says, server
 
 __all__ = ["server"]
@@ -50,10 +48,7 @@ def captured(folder: Path, config: CaptureConfig | None = None, ledger: Recollec
     (scan,), errors = find_scans(folder, "auto")
     assert not errors
     context = Context(scan.scene_id, "capture", 3, {}, ledger=ledger or Recollection())
-    outcome = run(scan=scan, context=context, config=config or CaptureConfig())
-    for table, rows in outcome.rows.items():
-        check(rows, TABLES[table].record)
-    return outcome
+    return well_formed(run(scan=scan, context=context, config=config or CaptureConfig()))
 
 
 def one_found(outcome: Outcome, by: str = "classical") -> Instance:
