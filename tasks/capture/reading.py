@@ -59,21 +59,29 @@ class Group:
 
 @dataclasses.dataclass(frozen=True)
 class StatedRoom:
-    """Facts about the room itself that a file states, in the scan frame.
+    """Facts about the room itself that files state, in the scan frame.
 
     openings: corners of each opening without a door or window [m], shapes (n, 3).
     outline: corners of the floor in order [m], shape (n, 3); None if it has several parts or holes.
     has_height: true if the file states how high its walls are.
+    eyes: where the cameras of frames were [m], shape (n, 3).
     """
 
     openings: tuple[NDArray[np.float64], ...] = ()
     outline: NDArray[np.float64] | None = None
     has_height: bool = False
+    eyes: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
+
+    def seen_by(self, frames: Sequence[FrameSource]) -> StatedRoom:
+        """The same facts, and where the cameras of frames were."""
+        eyes = [frame.pose[:3, 3] for frame in frames if frame.pose is not None]
+        return dataclasses.replace(self, eyes=np.array(eyes).reshape(-1, 3))
 
     def moved(self, pose: NDArray[np.float64]) -> StatedRoom:
         """The same facts in another frame. pose: scan frame to that frame, 4x4 [m]."""
         outline = None if self.outline is None else transform_points(self.outline, pose)
-        return StatedRoom(tuple(transform_points(corners, pose) for corners in self.openings), outline, self.has_height)
+        openings = tuple(transform_points(corners, pose) for corners in self.openings)
+        return StatedRoom(openings, outline, self.has_height, transform_points(self.eyes, pose))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -233,7 +233,7 @@ def _value(function: Callable[[], Any]) -> Any:
 
 def _geometry(reading: Reading) -> Reading:
     """What a scan's mesh in the lake is made of besides its surface in the world frame."""
-    return dataclasses.replace(reading, surface=None, frames=(), groups=None, materials=None)
+    return dataclasses.replace(reading, surface=None, frames=(), groups=None, materials=None, stated=reading.stated.seen_by(reading.frames))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -336,7 +336,7 @@ def _shell(
 ) -> tuple[Shell, Seen | None, dict[int, NDArray[np.float64]]]:  # fmt: skip
     """The row of the shell, where floor and walls were seen, and of doors and windows that were seen in part, by number, corners of
     the whole [m], shape (8, 3)."""
-    shape = estimate_room(cloud, classes, stated.outline)
+    shape = estimate_room(cloud, classes, stated.outline, stated.eyes)
     shape, remarks = with_plausible_height(shape, is_modelled or stated.has_height)
     notes += [*shape.notes, *remarks]
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]

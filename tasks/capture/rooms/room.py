@@ -41,6 +41,9 @@ _MISSED_SHARE = 0.03
 _BRIDGED_M = 1.5
 """Farther from the seen floor than this, furniture may stand in another room."""
 
+_BODY_M = 0.3
+"""Half the width of a person with a camera [m]."""
+
 _STANDING_M = 0.5
 """What begins lower than this stands on the floor; the lowest part of furniture is often hidden."""
 
@@ -123,13 +126,14 @@ def _median_color(parts: Iterable[tuple[NDArray[np.uint8], Label]], nyu40: int) 
     return tuple(int(value) for value in np.median(np.concatenate(colors), axis=0)) if colors else None
 
 
-def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None = None) -> RoomShape:
+def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None = None, eyes: Array | None = None) -> RoomShape:
     """The room around a scan.
 
     Args:
         cloud: points of the scan in the world frame.
         nyu40: NYU40 class of each point of the cloud, 0 for none, shape (n,).
         stated: corners of the floor as a file states them in the world frame [m], shape (n, 3); used if an edge is slanted.
+        eyes: where the cameras were in the world frame [m], shape (n, 3).
     """
     import shapely
 
@@ -150,7 +154,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64], stated: Array | None =
         area, walls, inner = float(np.prod(high - low)), _edges(polygon) if is_room else np.zeros((0, 4)), np.zeros((0, 6))
         return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes), top=top, is_room=is_room)
     has_walls = bool((nyu40 == WALL).any()) or min(map(len, lines)) >= 2
-    outline, missed = _with_furniture(outline, cloud, kinds, has_walls)
+    outline, missed = _with_furniture(outline, cloud, kinds, has_walls, eyes if eyes is not None and is_room else np.zeros((0, 3)))
     if has_walls:
         shape, is_snapped = snapped_outline(plan, outline, lines, cloud, kinds == WALL)
     else:
@@ -264,8 +268,9 @@ def _height(cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[float, str]:
     return max(float(np.percentile(z, _TOP_PERCENT)), 0.1), "extent"
 
 
-def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], has_walls: bool) -> tuple[Polygon, float]:
-    """The outline with what stands outside of it, and how much was added [m2]; as it was where little stands outside.
+def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], has_walls: bool, eyes: Array) -> tuple[Polygon, float]:
+    """The outline with what stands outside of it, and how much was added [m2]; as it was where little stands outside. Whoever carried the
+    cameras stood in the room, too.
 
     A few frames see furniture well and the floor in patches: then furniture lies across the patches' outline. has_walls: Walls are named,
     or seen along both axes. Where they are not, what hangs in the air is furniture, too, whose lower part was hidden, and nothing within
@@ -285,6 +290,7 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], ha
             hulls.append(shapely.MultiPoint(points[within, :2]).convex_hull.buffer(CELL_M) if has_walls else _around(points))
     walls = cloud.points[kinds == WALL]
     walls = walls[:, :2] if has_walls else walls[_is_tall(walls), :2]
+    hulls += _standpoints(eyes, outline)
     hulls = [hull for hull in hulls if not _is_behind_wall(hull, outline, walls)]
     furniture = shapely.union_all(hulls) if hulls else shapely.Polygon()
     if furniture.difference(outline).area <= (_MISSED_SHARE if has_walls else 0.0) * outline.area:
@@ -303,6 +309,16 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], ha
     whole = shapely.union_all([room, closed(room, _PATCHES_M if has_walls else _ROOM_M)])  # closing cuts necks between acute corners
     grown = _around_floor(whole, outline)
     return (grown, float(grown.area - outline.area)) if grown is not None else (outline, 0.0)
+
+
+def _standpoints(eyes: Array, outline: Polygon) -> list[Polygon]:
+    """What people take of the floor who carried cameras, at shape (n, 3) [m], outside of an outline within reach; nobody stands twice in
+    half a body's width."""
+    import shapely
+
+    _, first = np.unique(np.floor(eyes[:, :2] / _BODY_M).astype(np.int64), axis=0, return_index=True)
+    bodies = [shapely.Point(place).buffer(_BODY_M) for place in eyes[np.sort(first), :2]]
+    return [body for body in bodies if not outline.covers(body) and body.distance(outline) <= _BRIDGED_M]
 
 
 def _around_floor(shape: Polygon, outline: Polygon) -> Polygon | None:
