@@ -75,7 +75,7 @@ def _pictures(lake: Lake, reader: Reader, scene_id: str, look: PictureConfig) ->
     from tasks.stats.scenes import best_corner, picture_scene
     from tasks.stats.style import only_vectors
 
-    model = _Model.of(lake, reader, scene_id)
+    model = SceneModel.of(lake, reader, scene_id)
     objects, placements = model.objects, model.placements
     camera = best_corner(list(objects.values()) or [[part] for part in model.scan], model.walls, model.outline, look)
     pictures = picture_scene(model.scan, model.walls, list(objects.values()), model.outline, look, camera)
@@ -109,7 +109,7 @@ def thumbnails_of(lake: Lake, snapshot_id: int, scene_id: str) -> tuple[bytes, b
     reader = lake.snapshot(snapshot_id)
 
     def draw() -> tuple[bytes, bytes]:
-        model = _Model.of(lake, reader, scene_id)
+        model = SceneModel.of(lake, reader, scene_id)
         return corner_pair(model.scan, model.walls, list(model.objects.values()), model.outline, SCENE_LOOK)
 
     return remembered(["thumbnails", SCENE_LOOK, *_facts(reader, scene_id, _MODEL)], draw)
@@ -244,7 +244,7 @@ def _drawn(jobs: Mapping[Any, Job], count: int, advance: Callable[[str], None], 
 
 
 @dataclasses.dataclass(frozen=True)
-class _Model:
+class SceneModel:
     """A scene as meshes in the world frame [m]: its scan, its room and what was placed in it, by name."""
 
     scan: list[trimesh.Trimesh]
@@ -260,7 +260,7 @@ class _Model:
         return [part for parts in self.shell.values() for part in parts]
 
     @staticmethod
-    def of(lake: Lake, reader: Reader, scene_id: str) -> _Model:
+    def of(lake: Lake, reader: Reader, scene_id: str) -> SceneModel:
         from tasks.geometry.meshes import load_glb
         from tasks.replica import placed_parts
         from tasks.shell import room_shell
@@ -279,7 +279,7 @@ class _Model:
         bare = room_shell(shells[0]) if shells else []
         shell = {name: [part] for name, part in textured(bare, reader.rows(RoomSurface, scene_id), lake.blobs)}
         outline = RoomOutline.of_room(shells[0]) if shells else RoomOutline.of_parts(scan)
-        return _Model(scan, shells[0] if shells else None, placements, blobs, objects, shell, outline)
+        return SceneModel(scan, shells[0] if shells else None, placements, blobs, objects, shell, outline)
 
 
 def _plan(lake: Lake, reader: Reader, scene_id: str, objects: Mapping[str, Sequence[trimesh.Trimesh]], room: Shell) -> Picture | None:
