@@ -270,6 +270,7 @@ def _cut(surface: trimesh.Trimesh, measure: _Measure) -> list[Array]:
         measure.may_keep,
         lambda clouds: measure.keeps(measure.boxed(clouds)),
         config.max_pieces,
+        config.early_share,
     )
 
 
