@@ -17,17 +17,15 @@ from __future__ import annotations
 
 import dataclasses
 import heapq
-import itertools
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tasks.geometry.colliders import GRID_M
-from tasks.geometry.openings import Openings
-from tasks.kernels import Kernels, compile_kernels
+from tasks.geometry.hulls import Hull, balanced, deviation, hull_of, reduced, with_body
+from tasks.geometry.openings import FLAT_M, Openings, ReachesBeside, both_reaches, reach_of
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -41,11 +39,14 @@ LEAST_M = 0.006
 CUT_SHARE, LEAST_SHARE = 0.008, 2e-5
 """Cutting ends when all hulls together stop less than this share of the rays early; a part that stops less than the second is left."""
 
-FLAT_M = 1e-7
-"""Corners this near to a plane lie in it: coordinates of meshes are rounded to a micrometre."""
+MAX_HALVINGS = 3
+"""A rounded piece is halved so often at most: eight hulls stand for it as well as engines take."""
 
-MAX_HULL_TRIES = 3
+MAX_HULL_TRIES = 2
 """Planes whose halves get hulls: those that cut best by bounding polytopes, a tenth of the time each. The third is hardly ever the best."""
+
+MAX_HULL_OFFERS = 3
+"""Joins of a solid that get hulls at once: a join that costs little is among the cheapest by bounding polytopes, too."""
 
 GUESS_EXCESS, MAX_EXCESS = 1.5, 6.0
 """Hulls are expected to hold the measure when they cost so many times what it allows, and never beyond the second: costs count deep rays
@@ -55,21 +56,10 @@ NEAR_M = 0.02
 """Parts whose boxes are nearer than this are neighbors."""
 
 
-def _unit_directions(most: int) -> Array:
-    """Unit vectors along all steps of a grid up to `most` cells, one of each opposite pair, the axes first, shape (k, 3)."""
-    steps = [np.array(step) for step in itertools.product(range(-most, most + 1), repeat=3) if step > (0, 0, 0)]
-    primitive = sorted((step for step in steps if np.gcd.reduce(step) == 1), key=lambda step: (int(step @ step), *(-step).tolist()))
-    return np.array([step / np.linalg.norm(step) for step in primitive])
-
-
-DIRECTIONS = _unit_directions(2)
-"""Normals of bounding polytopes, the axes first, shape (k, 3)."""
-
-
 @dataclasses.dataclass(frozen=True)
 class _Solid:
-    """A convex solid. vertices: [m], shape (n, 3). box: its bounds, shape (2, 3). reach: least and greatest coordinate along each of
-    `DIRECTIONS` [m], shape (2, k). cost, lines: of the rays that it stops early."""
+    """A convex solid. vertices: [m], shape (n, 3). box: its bounds, shape (2, 3). reach: as of `reach_of` [m], shape (2, k). cost, lines: of
+    the rays that it stops early."""
 
     vertices: Array
     box: Array
@@ -85,17 +75,9 @@ class _Solid:
 
         convex = ConvexHull(points, qhull_options="QJ Pp" if len(points) < 5 else "Qt Pp")
         vertices = points[np.sort(convex.vertices)]
-        along = vertices @ DIRECTIONS.T
-        reach = np.array([along.min(axis=0), along.max(axis=0)])
+        reach = reach_of(vertices)
         box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
         return _Solid(vertices, box, reach, float(convex.volume), *free.stopped(np.ascontiguousarray(convex.equations), box, among))
-
-
-def _bounding_cost(reach: Array, free: Openings, among: tuple[Integers, ...] | None = None) -> float:
-    """Rays that a bounding polytope stops early: no fewer than the hull inside it. reach: as of a solid. among: as for `Openings.stopped`."""
-    normals = np.concatenate([DIRECTIONS, -DIRECTIONS])
-    planes = np.column_stack([normals, np.concatenate([-reach[1], reach[0]])])
-    return free.stopped(planes, np.ascontiguousarray(reach[:, :3]), among)[0]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,73 +167,19 @@ def cut(triangles: Array, free: Openings, body: Callable[[Array], Array]) -> lis
 def _promising(part: Part, free: Openings) -> list[tuple[int, float, int]]:
     """Planes, the most promising by bounding polytopes first: axis, coordinate [m], and the side, 0 below and 1 above, of walls in the
     plane: they belong to the side whose material they bound, which only the cost tells."""
-    along = part.triangles @ DIRECTIONS.T
-    lowest, highest = along.min(axis=1), along.max(axis=1)
-    ranked = []
+    planes: list[tuple[int, float, int]] = []
+    sides: list[Array] = []
+    beside = ReachesBeside(part.triangles)
     for axis, place in _places(part, free):
-        counts, reach = np.zeros(3, dtype=np.int64), np.empty((3, 2, len(DIRECTIONS)))
-        _compiled()["_reaches"](along, lowest, highest, axis, place, counts, reach)
-        below, above, within = reach
+        counts, (below, above, within) = beside.plane(axis, place)
         for way in (0, 1) if counts[2] else (0,):
-            first, second = (_both(below, within), above) if way == 0 else (below, _both(above, within))
-            if not counts[1 - way] or not counts[way] + counts[2]:
-                continue
-            cost = sum(_bounding_cost(side, free, part.solid.lines) for side in (first, second))
-            ranked.append((cost, len(ranked), axis, place, way))
-    return [(axis, place, way) for _, _, axis, place, way in sorted(ranked)]
-
-
-def _both(reach: Array, other: Array) -> Array:
-    """Least and greatest coordinates of two bodies together, shape (2, k)."""
-    return np.array([np.minimum(reach[0], other[0]), np.maximum(reach[1], other[1])])
-
-
-@cache
-def _compiled() -> Kernels:
-    return compile_kernels(_widen, _reaches)
-
-
-def _widen(reach: Any, low: Any, high: Any) -> None:
-    """Take coordinates between two points along all directions into a reach."""
-    for k in range(len(low)):
-        reach[0, k] = min(reach[0, k], low[k])
-        reach[1, k] = max(reach[1, k], high[k])
-
-
-def _reaches(along: Any, lowest: Any, highest: Any, axis: int, place: float, counts: Any, reach: Any) -> None:
-    """Reaches of triangles below, above and in a plane across an axis, shape (3, 2, k), and how many of them there are, shape (3,).
-
-    along: coordinates of their corners along `DIRECTIONS`, shape (m, 3, k). lowest, highest: of all corners, shape (m, k).
-    """
-    reach[:, 0, :], reach[:, 1, :] = np.inf, -np.inf
-    heights, meeting = np.empty(3), np.empty(along.shape[2])
-    for m in range(len(along)):
-        under, over = 0, 0
-        for i in range(3):
-            heights[i] = along[m, i, axis] - place
-            if abs(heights[i]) < FLAT_M:
-                heights[i] = 0.0
-            under += heights[i] < 0.0
-            over += heights[i] > 0.0
-        if not (under and over):
-            side = 0 if under else 1 if over else 2
-            counts[side] += 1
-            _widen(reach[side], lowest[m], highest[m])
-            continue
-        counts[0] += 1
-        counts[1] += 1
-        for i in range(3):
-            j = (i + 1) % 3
-            if heights[i] <= 0.0:
-                _widen(reach[0], along[m, i], along[m, i])
-            if heights[i] >= 0.0:
-                _widen(reach[1], along[m, i], along[m, i])
-            if heights[i] * heights[j] < 0.0:
-                share = heights[i] / (heights[i] - heights[j])
-                for k in range(len(meeting)):
-                    meeting[k] = along[m, i, k] + share * (along[m, j, k] - along[m, i, k])
-                _widen(reach[0], meeting, meeting)
-                _widen(reach[1], meeting, meeting)
+            if counts[1 - way] and counts[way] + counts[2]:
+                planes.append((axis, place, way))
+                sides += [both_reaches(below, within), above] if way == 0 else [below, both_reaches(above, within)]
+    if not planes:
+        return []
+    costs = free.stopped_by_bounds(np.array(sides), part.solid.lines).reshape(-1, 2).sum(axis=1)
+    return [planes[i] for i in np.argsort(costs, kind="stable")]
 
 
 def _places(part: Part, free: Openings) -> Iterator[tuple[int, float]]:
@@ -330,17 +258,32 @@ class Joined:
 
 
 def joins(atoms: Sequence[Part], free: Openings) -> Iterator[Joined]:
-    """The hulls of the atoms, then after every join of two neighbors, the cheapest first."""
+    """The hulls of the atoms, then after every join of two neighbors, the cheapest first.
+
+    Of a solid's joins the most promising get hulls at once. The others wait by the costs of bounding polytopes, and get a hull when they
+    come first.
+    """
     solids = {i: atom.solid for i, atom in enumerate(atoms)}
-    heap: list[tuple[float, float, int, int, _Solid]] = []
+    bounding = dict(zip(solids, free.stopped_by_bounds(np.array([solid.reach for solid in solids.values()])).tolist(), strict=True))
+    heap: list[tuple[float, float, int, int, _Solid | None]] = []
+
+    def offer_hull(i: int, j: int) -> None:
+        a, b = solids[i], solids[j]
+        both = _Solid.around(np.concatenate([a.vertices, b.vertices]), free)
+        heapq.heappush(heap, (both.cost - a.cost - b.cost, both.volume - a.volume - b.volume, i, j, both))
 
     def offer(i: int, among: Sequence[int]) -> None:
         a, boxes = solids[i], np.array([solids[j].box for j in among]).reshape(-1, 2, 3)
-        near = ((boxes[:, 0] <= a.box[1] + NEAR_M) & (boxes[:, 1] >= a.box[0] - NEAR_M)).all(axis=1)
-        for j in (among[k] for k in np.flatnonzero(near).tolist()):
-            b = solids[j]
-            both = _Solid.around(np.concatenate([a.vertices, b.vertices]), free)
-            heapq.heappush(heap, (both.cost - a.cost - b.cost, both.volume - a.volume - b.volume, i, j, both))
+        near = [among[k] for k in np.flatnonzero(((boxes[:, 0] <= a.box[1] + NEAR_M) & (boxes[:, 1] >= a.box[0] - NEAR_M)).all(axis=1))]
+        if len(near) > MAX_HULL_OFFERS:
+            reaches = np.array([both_reaches(a.reach, solids[j].reach) for j in near])
+            costs = free.stopped_by_bounds(reaches) - bounding[i] - np.array([bounding[j] for j in near])
+            order = np.argsort(costs, kind="stable").tolist()
+            for k in order[MAX_HULL_OFFERS:]:
+                heapq.heappush(heap, (float(costs[k]), -np.inf, i, near[k], None))
+            near = [near[k] for k in order[:MAX_HULL_OFFERS]]
+        for j in near:
+            offer_hull(i, j)
 
     for i in range(1, len(atoms)):
         offer(i, range(i))
@@ -351,10 +294,43 @@ def joins(atoms: Sequence[Part], free: Openings) -> Iterator[Joined]:
         _, _, i, j, both = heapq.heappop(heap)
         if i not in solids or j not in solids:
             continue
+        if both is None:
+            offer_hull(i, j)
+            continue
         total += both.cost - solids[i].cost - solids[j].cost
         del solids[i], solids[j]
         rest = list(solids)
-        solids[number] = both
+        solids[number], bounding[number] = both, float(free.stopped_by_bounds(both.reach[None])[0])
         offer(number, rest)
         number += 1
         yield Joined([solid.vertices for solid in solids.values()], total)
+
+
+class Halving:
+    """The hull of a point cloud that engines take, and those of its halves, made when they are asked for.
+
+    points: shape (n, 3) [m]; flat ones get a body of `thickness_m`. hull: within the limits of engines. away_m: how far that lies off the
+    hull of all points [m].
+    """
+
+    def __init__(self, points: Array, thickness_m: float, depth: int = MAX_HALVINGS) -> None:
+        self._thickness_m, self._depth = thickness_m, depth
+        self._whole = hull_of(with_body(points, thickness_m))
+        self.hull, self.away_m = reduced(self._whole), 0.0
+        if self.hull is not self._whole:
+            self.hull = balanced(self.hull, self._whole)
+            self.away_m = max(deviation(self.hull, self._whole.vertices), deviation(self._whole, self.hull.vertices))
+
+    @cached_property
+    def halves(self) -> list[Halving]:
+        """The two halves along the longest side."""
+        low, high = self._whole.vertices.min(axis=0), self._whole.vertices.max(axis=0)
+        axis = int((high - low).argmax())
+        sides = split(self._whole.vertices[self._whole.faces], axis, 0.5 * float(low[axis] + high[axis]))
+        return [Halving(np.unique(side.reshape(-1, 3), axis=0), self._thickness_m, self._depth - 1) for side in sides[:2]]
+
+    def hulls(self, deviation_m: float) -> list[Hull]:
+        """Hulls that together stand for the points: halved again and again while they lie farther off than a deviation [m]."""
+        if self.away_m <= deviation_m or not self._depth:
+            return [self.hull]
+        return [hull for half in self.halves for hull in half.hulls(deviation_m)]

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.geometry.colliders import ColliderShares, sightlines
-from tasks.geometry.decomposition import parts_of, split
+from tasks.geometry.decomposition import Halving, parts_of
 from tasks.geometry.feet import on_feet
-from tasks.geometry.hulls import Hull, balanced, deviation, hull_of, reduced, with_body
+from tasks.geometry.hulls import Hull, hull_of, reduced, with_body
 from tasks.geometry.mass import MassProperties, mass_properties
 from tasks.geometry.meshes import dump_glb, load_glb
 from tasks.geometry.openings import openings
@@ -182,7 +182,7 @@ def pieces(parts: Sequence[trimesh.Trimesh], known: Sequence[trimesh.Trimesh] | 
     bounds = np.array([points.min(axis=0), points.max(axis=0)])
     surface = _merged(parts)
     if not len(surface.faces):  # smaller than what is told apart: a point or a line
-        hulls = tuple(_boxed(points, bounds, config, config.deviation_m))
+        hulls = tuple(_boxed(Halving(points, config.thickness_m), bounds, config, config.deviation_m))
         return Pieces(hulls, "hulls", ColliderShares(0.0, 0.0), mass_properties(hulls))
     measure = _Measure(surface, bounds, config)
     tried = []
@@ -209,7 +209,9 @@ class _Measure:
         self.components = [np.asarray(component.vertices) for component in _components(surface)]
         if scale < 1 and len(self.components) <= FEW_COMPONENTS:
             self.fine = sightlines([surface], max(scale, LEAST_SCALE))
-        self._known: dict[tuple[int, float], tuple[Array, list[Hull]]] = {}
+        self._halvings: dict[int, tuple[Array, Halving]] = {}
+        self._whole: dict[int, tuple[Array, Hull]] = {}
+        self._known: dict[tuple[int, float], list[Hull]] = {}
 
     def boxed(self, clouds: Sequence[Array]) -> tuple[Hull, ...]:
         """Hulls of point clouds, as they are kept: as coarse as keeps the shares, or as fine as hulls are made."""
@@ -217,9 +219,12 @@ class _Measure:
         for finer in (1.0, 0.4):
             deviation_m, before = finer * self.config.deviation_m, len(hulls)
             for cloud in clouds:
+                if id(cloud) not in self._halvings:  # the cloud is kept: no other gets its id
+                    self._halvings[id(cloud)] = cloud, Halving(cloud, self.config.thickness_m)
                 if (id(cloud), deviation_m) not in self._known:
-                    self._known[id(cloud), deviation_m] = cloud, _boxed(cloud, self.bounds, self.config, deviation_m)
-            made = tuple(_without_contained([hull for cloud in clouds for hull in self._known[id(cloud), deviation_m][1]]))
+                    halving = self._halvings[id(cloud)][1]
+                    self._known[id(cloud), deviation_m] = _boxed(halving, self.bounds, self.config, deviation_m)
+            made = tuple(_without_contained([hull for cloud in clouds for hull in self._known[id(cloud), deviation_m]]))
             if hulls and (len(made) == before or len(made) > self.config.max_pieces):
                 break
             hulls = made
@@ -235,7 +240,10 @@ class _Measure:
 
     def may_keep(self, clouds: Sequence[Array]) -> bool:
         """Whether the hulls of point clouds, before they lose corners, leave openings open."""
-        return self.fine.shares([hull_of(cloud) for cloud in clouds]).early <= SPARE * self.config.early_share
+        for cloud in clouds:
+            if id(cloud) not in self._whole:
+                self._whole[id(cloud)] = cloud, hull_of(cloud)
+        return self.fine.shares([self._whole[id(cloud)][1] for cloud in clouds]).early <= SPARE * self.config.early_share
 
 
 def _ways(
@@ -301,22 +309,7 @@ def convex_hull(points: NDArray[np.float64], config: PieceConfig) -> Hull:
     return reduced(hull_of(with_body(points, config.thickness_m)))
 
 
-def _hulls_of(points: Array, config: PieceConfig, deviation_m: float, halvings: int = 3) -> list[Hull]:
-    """Hulls that engines take, which together stand for the hull of points: halved along its longest side while it is too round."""
-    whole = hull_of(with_body(points, config.thickness_m))
-    hull = reduced(whole)
-    if hull is whole:
-        return [whole]
-    hull = balanced(hull, whole)
-    if halvings and max(deviation(hull, whole.vertices), deviation(whole, hull.vertices)) > deviation_m:
-        low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
-        axis = int((high - low).argmax())
-        sides = split(whole.vertices[whole.faces], axis, 0.5 * float(low[axis] + high[axis]))
-        return [half for side in sides[:2] for half in _hulls_of(np.unique(side.reshape(-1, 3), axis=0), config, deviation_m, halvings - 1)]
-    return [hull]
-
-
-def _boxed(cloud: Array, bounds: Array, config: PieceConfig, deviation_m: float) -> list[Hull]:
+def _boxed(cloud: Halving, bounds: Array, config: PieceConfig, deviation_m: float) -> list[Hull]:
     """Hulls of a point cloud, kept inside a box where the box has room for a body."""
     low, high = bounds.copy()
     for axis in range(2):
@@ -325,7 +318,7 @@ def _boxed(cloud: Array, bounds: Array, config: PieceConfig, deviation_m: float)
             low[axis], high[axis] = middle - 0.5 * config.thickness_m, middle + 0.5 * config.thickness_m
     high[2] = max(high[2], low[2] + config.thickness_m)  # upwards only: nothing may reach below what carries it
     hulls = []
-    for hull in _hulls_of(cloud, config, deviation_m):
+    for hull in cloud.hulls(deviation_m):
         clipped = np.clip(hull.vertices, low, high)
         if not np.array_equal(clipped, hull.vertices):
             hull = reduced(hull_of(_inside_body(clipped, low, high, config)))
