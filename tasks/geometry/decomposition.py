@@ -58,8 +58,8 @@ NEAR_M = 0.02
 
 @dataclasses.dataclass(frozen=True)
 class _Solid:
-    """A convex solid. vertices: [m], shape (n, 3). box: its bounds, shape (2, 3). reach: as of `reach_of` [m], shape (2, k). cost, lines: of
-    the rays that it stops early."""
+    """A convex solid. vertices: [m], shape (n, 3). box: its bounds, shape (2, 3). reach: as of `reach_of` [m], shape (2, k). cost,
+    lines: of the rays that it stops early."""
 
     vertices: Array
     box: Array
