@@ -197,20 +197,23 @@ def _places(part: Part, free: Openings) -> Iterator[tuple[int, float]]:
         walls = np.concatenate([along.low[index] + free.early_m, along.high[index] - free.early_m])
         walls = walls[np.isfinite(walls) & (walls > low[axis]) & (walls < high[axis])]
         if len(walls):
-            count, edges = np.histogram(walls, bins=bins, range=(low[axis], high[axis]))
-            most = int(count.argmax())
-            tried.append(float(np.median(walls[(walls >= edges[most]) & (walls <= edges[most + 1])])))
+            bin_of = ((walls - low[axis]) * (bins / reach)).astype(np.int64)
+            most = int(np.bincount(bin_of).argmax())
+            tried.append(float(np.median(walls[bin_of == most])))
         # Where they end across it.
         across = [lines.across[part.solid.lines[lines.axis], axis - (axis > lines.axis)] for lines in free.lines if lines.axis != axis]
-        profile, edges = np.histogram(np.concatenate(across), bins=bins, range=(low[axis], high[axis]))
+        ends = np.concatenate(across)
+        ends = ends[(ends >= low[axis]) & (ends < high[axis])]
+        profile = np.bincount(((ends - low[axis]) * (bins / reach)).astype(np.int64), minlength=bins)[:bins]
         jumps = np.abs(np.diff(profile))
-        tried += [float(edges[1 + int(i)]) for i in np.argsort(-jumps, kind="stable")[:1] if jumps[i] > 0]
-        coordinates = np.unique(np.round(points[:, axis], 5))
+        jump = int(jumps.argmax())
+        tried += [float(low[axis] + (jump + 1) * reach / bins)] if jumps[jump] > 0 else []
+        coordinates = np.round(points[:, axis], 5)
         places = [0.5 * (low[axis] + high[axis])]
         for place in tried:
             near = coordinates[np.abs(coordinates - place) <= free.early_m + reach / bins]
             # Both sides of a board are near: each is tried.
-            places += [float(near[0]), float(near[-1])] if len(near) else [place]
+            places += [float(near.min()), float(near.max())] if len(near) else [place]
         for place in dict.fromkeys(places):
             if low[axis] + 1e-4 < place < high[axis] - 1e-4:
                 yield axis, place

@@ -46,6 +46,9 @@ FEW_COMPONENTS = 8
 LEAST_SCALE = 0.5
 """The measure is never finer than this: 1 cm."""
 
+CONTAINED_BOX_M = 1e-3
+"""A hull in another one lies in its box up to this: planes have a slack of a micrometre, which is more at sharp corners."""
+
 SPARE = 0.9
 """Pieces are cut until they keep this much of the shares that are asked for: assets are stretched when they are placed."""
 
@@ -343,13 +346,14 @@ def _without_contained(hulls: list[Hull]) -> list[Hull]:
     """Hulls without those whose every vertex lies inside another one; the order stays."""
     planes = [face_planes(hull.vertices, hull.faces, 1e-14) for hull in hulls]
     volumes = [hull.volume for hull in hulls]
+    low = np.array([hull.vertices.min(axis=0) for hull in hulls]).reshape(-1, 3)
+    high = np.array([hull.vertices.max(axis=0) for hull in hulls]).reshape(-1, 3)
     kept = []
     for i, hull in enumerate(hulls):
-        inside = any(
-            j != i and (volumes[j], -j) > (volumes[i], -i) and bool((hull.vertices @ normals.T <= offsets + 1e-6).all())
-            for j, (normals, offsets) in enumerate(planes)
-        )
-        if not inside:
+        # Most hulls do not fit into the box of another one: the planes of the rest are looked at.
+        around = ((low <= low[i] + CONTAINED_BOX_M) & (high >= high[i] - CONTAINED_BOX_M)).all(axis=1)
+        larger = [j for j in np.flatnonzero(around).tolist() if j != i and (volumes[j], -j) > (volumes[i], -i)]
+        if not any(bool((hull.vertices @ planes[j][0].T <= planes[j][1] + 1e-6).all()) for j in larger):
             kept.append(hull)
     return kept
 
