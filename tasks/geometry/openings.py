@@ -97,8 +97,15 @@ class Openings:
 
 def reach_of(points: Array) -> Array:
     """Least and greatest coordinates of points, shape (n, 3) [m], along each of `DIRECTIONS`, shape (2, k): a polytope around them."""
-    along = points @ DIRECTIONS.T
+    along = _along_directions(points)
     return np.array([along.min(axis=0), along.max(axis=0)])
+
+
+def _along_directions(points: Array) -> Array:
+    """Coordinates of points, shape (n, 3) [m], along each of `DIRECTIONS`, shape (n, k): the same on any number of threads."""
+    along = np.empty((len(points), len(DIRECTIONS)))
+    _compiled()["_project"](points, DIRECTIONS, along)
+    return along
 
 
 def both_reaches(reach: Array, other: Array) -> Array:
@@ -110,7 +117,7 @@ class ReachesBeside:
     """Reaches of the two sides of planes through triangles, shape (m, 3, 3) [m], without cutting them."""
 
     def __init__(self, triangles: Array) -> None:
-        self._along = triangles @ DIRECTIONS.T
+        self._along = _along_directions(triangles.reshape(-1, 3)).reshape(len(triangles), 3, -1)
         self._lowest, self._highest = self._along.min(axis=1), self._along.max(axis=1)
 
     def plane(self, axis: int, place: float) -> tuple[Integers, Array]:
@@ -151,7 +158,7 @@ def openings(sight: Sightlines) -> Openings:
 
 @cache
 def _compiled() -> Kernels:
-    return compile_kernels(_is_far, _stopped, _stopped_by_bounds, _widen, _reaches)
+    return compile_kernels(_is_far, _stopped, _stopped_by_bounds, _project, _widen, _reaches)
 
 
 def _is_far(axis: int, across: Any, along: float, far: Any, origin: Any, step: Any) -> bool:
@@ -241,6 +248,13 @@ def _stopped_by_bounds(
                 if depth > 1e-6 and not (is_wide and not _is_far(axis, across[line], start if side == 0 else end, far, origin, step)):
                     total += 1.0 + min(depth / deep, 1.0)
         costs[body] = total
+
+
+def _project(points: Any, directions: Any, along: Any) -> None:
+    """Coordinates of points, shape (n, 3), along directions, shape (k, 3), into `along`, shape (n, k)."""
+    for n in range(len(points)):
+        for k in range(len(directions)):
+            along[n, k] = points[n, 0] * directions[k, 0] + points[n, 1] * directions[k, 1] + points[n, 2] * directions[k, 2]
 
 
 def _widen(reach: Any, low: Any, high: Any) -> None:
