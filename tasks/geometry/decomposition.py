@@ -272,7 +272,8 @@ def joins(atoms: Sequence[Part], free: Openings) -> Iterator[Joined]:
 
     def offer(i: int, among: Sequence[int]) -> None:
         a, boxes = solids[i], np.array([solids[j].box for j in among]).reshape(-1, 2, 3)
-        near = [among[k] for k in np.flatnonzero(((boxes[:, 0] <= a.box[1] + NEAR_M) & (boxes[:, 1] >= a.box[0] - NEAR_M)).all(axis=1))]
+        is_near = ((boxes[:, 0] <= a.box[1] + NEAR_M) & (boxes[:, 1] >= a.box[0] - NEAR_M)).all(axis=1)
+        near = [among[k] for k in np.flatnonzero(is_near).tolist()]
         if len(near) > MAX_HULL_OFFERS:
             reaches = np.array([both_reaches(a.reach, solids[j].reach) for j in near])
             costs = free.stopped_by_bounds(reaches) - bounding[i] - np.array([bounding[j] for j in near])

@@ -15,7 +15,8 @@ from tasks.geometry.openings import DIRECTIONS, Openings, ReachesBeside, both_re
 def crossed_boards() -> trimesh.Trimesh:
     """Two boards that cross, slightly turned, so that planes meet triangles anywhere."""
     boards = [trimesh.creation.box((0.6, 0.05, 0.4)), trimesh.creation.box((0.05, 0.5, 0.4))]
-    mesh: trimesh.Trimesh = trimesh.util.concatenate(boards)
+    mesh = trimesh.util.concatenate(boards)
+    assert isinstance(mesh, trimesh.Trimesh)
     mesh.apply_transform(trimesh.transformations.rotation_matrix(0.2, (0.3, 0.2, 1.0)))
     return mesh
 
