@@ -100,7 +100,7 @@ def parts_of(
     triangles: shape (m, 3, 3) [m]. body: gives flat points a body. holds: whether hulls hold the measure. likely: the same, quick and
     lenient. share: of the rays, that hulls may stop early by that measure: what stops several times as many is not asked for.
     """
-    chain: list[Joined] = []
+    chain: list[JoinedHulls] = []
     for joined in joins(cut(triangles, free, body), free):
         if len(joined.clouds) <= most:
             chain.append(joined)
@@ -248,14 +248,14 @@ def _meeting(a: Array, b: Array, height_a: Array, height_b: Array) -> Array:
 
 
 @dataclasses.dataclass(frozen=True)
-class Joined:
+class JoinedHulls:
     """Hulls after some joins. clouds: their corners, shape (n, 3) each [m]. cost: of all the rays that they stop early."""
 
     clouds: list[Array]
     cost: float
 
 
-def joins(atoms: Sequence[Part], free: Openings) -> Iterator[Joined]:
+def joins(atoms: Sequence[Part], free: Openings) -> Iterator[JoinedHulls]:
     """The hulls of the atoms, then after every join of two neighbors, the cheapest first.
 
     Of a solid's joins the most promising get hulls at once. The others wait by the costs of bounding polytopes, and get a hull when they
@@ -287,7 +287,7 @@ def joins(atoms: Sequence[Part], free: Openings) -> Iterator[Joined]:
     for i in range(1, len(atoms)):
         offer(i, range(i))
     total = sum(solid.cost for solid in solids.values())
-    yield Joined([solid.vertices for solid in solids.values()], total)
+    yield JoinedHulls([solid.vertices for solid in solids.values()], total)
     number = len(atoms)
     while heap:
         _, _, i, j, both = heapq.heappop(heap)
@@ -302,7 +302,7 @@ def joins(atoms: Sequence[Part], free: Openings) -> Iterator[Joined]:
         solids[number], bounding[number] = both, float(free.stopped_by_bounds(both.reach[None])[0])
         offer(number, rest)
         number += 1
-        yield Joined([solid.vertices for solid in solids.values()], total)
+        yield JoinedHulls([solid.vertices for solid in solids.values()], total)
 
 
 class Halving:

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from tasks.geometry.colliders import sightlines
-from tasks.geometry.decomposition import Halving, Joined, _first, _Solid, cut, joins, split
+from tasks.geometry.decomposition import Halving, JoinedHulls, _first, _Solid, cut, joins, split
 from tasks.geometry.hulls import deviation, is_within
 from tasks.geometry.openings import DIRECTIONS, Openings, ReachesBeside, both_reaches, openings, reach_of
 
@@ -77,7 +77,7 @@ def test_cuts_open_the_corners_between_boards_and_joins_go_down_to_one_solid() -
     atoms = cut(np.asarray(mesh.triangles, dtype=np.float64), free, lambda points: points)
     whole = _Solid.around(np.asarray(mesh.vertices, dtype=np.float64), free)
     assert sum(atom.solid.cost for atom in atoms) < 0.2 * whole.cost
-    chain: list[Joined] = list(joins(atoms, free))
+    chain: list[JoinedHulls] = list(joins(atoms, free))
     assert [len(joined.clouds) for joined in chain] == list(range(len(atoms), 0, -1))
     assert chain[0].cost == pytest.approx(sum(atom.solid.cost for atom in atoms))
     assert chain[-1].cost == pytest.approx(whole.cost)
