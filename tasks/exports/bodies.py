@@ -191,18 +191,20 @@ def _shape(
         raise InputError("assets", f"asset_id {placement.asset_id}", "is not among the scene's assets", "run candidates again")
     glb = blobs[asset.mesh_blob]
     parts = load_glb(glb, f"{asset.name}.glb")
-    pieces_blob, name = asset.pieces_blob, asset.name
-    known = (lambda: load_glb(blobs[pieces_blob], f"{name} pieces.glb")) if pieces_blob else None
-    made = asset_pieces(asset.asset_id, lambda: parts, known, config.pieces, cache)
-    for part in parts:
-        part.apply_transform(np.diag([*placement.scale, 1.0]))
-    hulls = tuple(hull.transformed(np.eye(4), placement.scale) for hull in made.hulls)
-    properties = made.properties.scaled(placement.scale)
     content = ",".join([asset.asset_id, *(f"{value:.9g}" for value in placement.scale)]).replace(",", " ", 1)
-    if placement.collider_blob is not None:
+    method: Method
+    if placement.collider_blob is None:
+        pieces_blob, name = asset.pieces_blob, asset.name
+        known = (lambda: load_glb(blobs[pieces_blob], f"{name} pieces.glb")) if pieces_blob else None
+        made = asset_pieces(asset.asset_id, lambda: parts, known, config.pieces, cache)
+        hulls = tuple(hull.transformed(np.eye(4), placement.scale) for hull in made.hulls)
+        method, properties = made.method, made.properties.scaled(placement.scale)
+    else:
         hulls = read_pieces(blobs[placement.collider_blob], placement.collider_blob)
-        properties, content = mass_properties(hulls), f"{content} {placement.collider_blob}"
-    return Shape(f"{identifier(asset.category)}_{digest(content, 8)}", asset, placement.scale, glb, parts, hulls, made.method, properties)
+        method, properties, content = "cut", mass_properties(hulls), f"{content} {placement.collider_blob}"
+    for part in parts:  # last: pieces are made of what is unscaled
+        part.apply_transform(np.diag([*placement.scale, 1.0]))
+    return Shape(f"{identifier(asset.category)}_{digest(content, 8)}", asset, placement.scale, glb, parts, hulls, method, properties)
 
 
 def _body(

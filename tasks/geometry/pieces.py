@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.geometry.colliders import ColliderShares, sightlines
-from tasks.geometry.decomposition import parts_of, split
+from tasks.geometry.decomposition import Halving, parts_of
 from tasks.geometry.feet import on_feet
-from tasks.geometry.hulls import Hull, balanced, deviation, hull_of, reduced, with_body
+from tasks.geometry.hulls import Hull, hull_of, reduced, with_body
 from tasks.geometry.mass import MassProperties, mass_properties
 from tasks.geometry.meshes import dump_glb, load_glb
 from tasks.geometry.openings import openings
@@ -45,6 +45,9 @@ FEW_COMPONENTS = 8
 
 LEAST_SCALE = 0.5
 """The measure is never finer than this: 1 cm."""
+
+CONTAINED_BOX_M = 1e-3
+"""A hull in another one lies in its box up to this: planes have a slack of a micrometre, which is more at sharp corners."""
 
 SPARE = 0.9
 """Pieces are cut until they keep this much of the shares that are asked for: assets are stretched when they are placed."""
@@ -182,7 +185,7 @@ def pieces(parts: Sequence[trimesh.Trimesh], known: Sequence[trimesh.Trimesh] | 
     bounds = np.array([points.min(axis=0), points.max(axis=0)])
     surface = _merged(parts)
     if not len(surface.faces):  # smaller than what is told apart: a point or a line
-        hulls = tuple(_boxed(points, bounds, config, config.deviation_m))
+        hulls = tuple(_boxed(Halving(points, config.thickness_m), bounds, config, config.deviation_m))
         return Pieces(hulls, "hulls", ColliderShares(0.0, 0.0), mass_properties(hulls))
     measure = _Measure(surface, bounds, config)
     tried = []
@@ -209,7 +212,9 @@ class _Measure:
         self.components = [np.asarray(component.vertices) for component in _components(surface)]
         if scale < 1 and len(self.components) <= FEW_COMPONENTS:
             self.fine = sightlines([surface], max(scale, LEAST_SCALE))
-        self._known: dict[tuple[int, float], tuple[Array, list[Hull]]] = {}
+        self._halvings: dict[int, tuple[Array, Halving]] = {}
+        self._whole: dict[int, tuple[Array, Hull]] = {}
+        self._known: dict[tuple[int, float], list[Hull]] = {}
 
     def boxed(self, clouds: Sequence[Array]) -> tuple[Hull, ...]:
         """Hulls of point clouds, as they are kept: as coarse as keeps the shares, or as fine as hulls are made."""
@@ -217,9 +222,12 @@ class _Measure:
         for finer in (1.0, 0.4):
             deviation_m, before = finer * self.config.deviation_m, len(hulls)
             for cloud in clouds:
+                if id(cloud) not in self._halvings:  # the cloud is kept: no other gets its id
+                    self._halvings[id(cloud)] = cloud, Halving(cloud, self.config.thickness_m)
                 if (id(cloud), deviation_m) not in self._known:
-                    self._known[id(cloud), deviation_m] = cloud, _boxed(cloud, self.bounds, self.config, deviation_m)
-            made = tuple(_without_contained([hull for cloud in clouds for hull in self._known[id(cloud), deviation_m][1]]))
+                    halving = self._halvings[id(cloud)][1]
+                    self._known[id(cloud), deviation_m] = _boxed(halving, self.bounds, self.config, deviation_m)
+            made = tuple(_without_contained([hull for cloud in clouds for hull in self._known[id(cloud), deviation_m]]))
             if hulls and (len(made) == before or len(made) > self.config.max_pieces):
                 break
             hulls = made
@@ -235,7 +243,10 @@ class _Measure:
 
     def may_keep(self, clouds: Sequence[Array]) -> bool:
         """Whether the hulls of point clouds, before they lose corners, leave openings open."""
-        return self.fine.shares([hull_of(cloud) for cloud in clouds]).early <= SPARE * self.config.early_share
+        for cloud in clouds:
+            if id(cloud) not in self._whole:
+                self._whole[id(cloud)] = cloud, hull_of(cloud)
+        return self.fine.shares([self._whole[id(cloud)][1] for cloud in clouds]).early <= SPARE * self.config.early_share
 
 
 def _ways(
@@ -270,6 +281,7 @@ def _cut(surface: trimesh.Trimesh, measure: _Measure) -> list[Array]:
         measure.may_keep,
         lambda clouds: measure.keeps(measure.boxed(clouds)),
         config.max_pieces,
+        config.early_share,
     )
 
 
@@ -300,22 +312,7 @@ def convex_hull(points: NDArray[np.float64], config: PieceConfig) -> Hull:
     return reduced(hull_of(with_body(points, config.thickness_m)))
 
 
-def _hulls_of(points: Array, config: PieceConfig, deviation_m: float, halvings: int = 3) -> list[Hull]:
-    """Hulls that engines take, which together stand for the hull of points: halved along its longest side while it is too round."""
-    whole = hull_of(with_body(points, config.thickness_m))
-    hull = reduced(whole)
-    if hull is whole:
-        return [whole]
-    hull = balanced(hull, whole)
-    if halvings and max(deviation(hull, whole.vertices), deviation(whole, hull.vertices)) > deviation_m:
-        low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
-        axis = int((high - low).argmax())
-        sides = split(whole.vertices[whole.faces], axis, 0.5 * float(low[axis] + high[axis]))
-        return [half for side in sides[:2] for half in _hulls_of(np.unique(side.reshape(-1, 3), axis=0), config, deviation_m, halvings - 1)]
-    return [hull]
-
-
-def _boxed(cloud: Array, bounds: Array, config: PieceConfig, deviation_m: float) -> list[Hull]:
+def _boxed(cloud: Halving, bounds: Array, config: PieceConfig, deviation_m: float) -> list[Hull]:
     """Hulls of a point cloud, kept inside a box where the box has room for a body."""
     low, high = bounds.copy()
     for axis in range(2):
@@ -324,7 +321,7 @@ def _boxed(cloud: Array, bounds: Array, config: PieceConfig, deviation_m: float)
             low[axis], high[axis] = middle - 0.5 * config.thickness_m, middle + 0.5 * config.thickness_m
     high[2] = max(high[2], low[2] + config.thickness_m)  # upwards only: nothing may reach below what carries it
     hulls = []
-    for hull in _hulls_of(cloud, config, deviation_m):
+    for hull in cloud.hulls(deviation_m):
         clipped = np.clip(hull.vertices, low, high)
         if not np.array_equal(clipped, hull.vertices):
             hull = reduced(hull_of(_inside_body(clipped, low, high, config)))
@@ -349,13 +346,14 @@ def _without_contained(hulls: list[Hull]) -> list[Hull]:
     """Hulls without those whose every vertex lies inside another one; the order stays."""
     planes = [face_planes(hull.vertices, hull.faces, 1e-14) for hull in hulls]
     volumes = [hull.volume for hull in hulls]
+    low = np.array([hull.vertices.min(axis=0) for hull in hulls]).reshape(-1, 3)
+    high = np.array([hull.vertices.max(axis=0) for hull in hulls]).reshape(-1, 3)
     kept = []
     for i, hull in enumerate(hulls):
-        inside = any(
-            j != i and (volumes[j], -j) > (volumes[i], -i) and bool((hull.vertices @ normals.T <= offsets + 1e-6).all())
-            for j, (normals, offsets) in enumerate(planes)
-        )
-        if not inside:
+        # Most hulls do not fit into the box of another one: the planes of the rest are looked at.
+        around = ((low <= low[i] + CONTAINED_BOX_M) & (high >= high[i] - CONTAINED_BOX_M)).all(axis=1)
+        larger = [j for j in np.flatnonzero(around).tolist() if j != i and (volumes[j], -j) > (volumes[i], -i)]
+        if not any(bool((hull.vertices @ planes[j][0].T <= planes[j][1] + 1e-6).all()) for j in larger):
             kept.append(hull)
     return kept
 
