@@ -44,6 +44,10 @@ MIN_GLIMPSE_M, MIN_SIDE_BANDS = 0.15, 6
 """Width of floor behind a gap [m] that suffices if the gap is framed: wall in so many bands on both sides and above, floor and nothing
 else before it. Cameras that pass at a slant see no more."""
 
+CLEAR_SIDE_BANDS, MIN_CLEAR_SHARE, MAX_CLEAR_WIDTH_M = 8, 0.9, 1.6
+"""Without floor behind it, a gap is a passage if it has at least so many bands of wall on both sides, floor before this share of its width
+and nothing else, and is no wider than a double door [m]: surface that cameras missed has no straight frame up to a lintel."""
+
 BEFORE_M, MAX_HIDDEN_SHARE = 0.6, 0.2
 """Distance before a gap within which nothing may stand [m], and most of its width that may be hidden even so."""
 
@@ -66,16 +70,17 @@ class _Frame:
     is_hidden: Mask
 
     def is_around(self, start: int, stop: int) -> bool:
-        """True if a gap between two cells has an opening's frame and a glimpse of floor behind it."""
+        """True if a gap between two cells has an opening's frame, with a glimpse of floor behind it or a frame seen whole."""
         side, gap = round(MIN_SIDE_M / CELL_M), slice(start, stop)
         sides = (self.bands[max(start - side, 0) : start], self.bands[stop : stop + side])
-        return bool(
-            self.has_floor[gap].sum() * CELL_M >= MIN_GLIMPSE_M
-            and min(int(cells.max(initial=0)) for cells in sides) >= MIN_SIDE_BANDS
-            and self.has_lintel[gap].mean() >= MIN_FLOOR_SHARE
-            and self.has_floor_before[gap].mean() >= MIN_FLOOR_SHARE
-            and self.is_hidden[gap].mean() <= MAX_HIDDEN_SHARE
-        )
+        side_bands = min(int(cells.max(initial=0)) for cells in sides)
+        shown, hidden = float(self.has_floor_before[gap].mean()), float(self.is_hidden[gap].mean())
+        is_framed = side_bands >= MIN_SIDE_BANDS and self.has_lintel[gap].mean() >= MIN_FLOOR_SHARE
+        is_clear = side_bands >= CLEAR_SIDE_BANDS and shown >= MIN_CLEAR_SHARE and hidden == 0.0
+        is_clear = is_clear and (stop - start) * CELL_M <= MAX_CLEAR_WIDTH_M
+        has_glimpse = self.has_floor[gap].sum() * CELL_M >= MIN_GLIMPSE_M
+        is_free = shown >= MIN_FLOOR_SHARE and hidden <= MAX_HIDDEN_SHARE
+        return bool(is_framed and (is_clear or (has_glimpse and is_free)))
 
 
 def passages(cloud: Cloud, is_wall: Mask, polygon: Array, height: float) -> list[Array]:

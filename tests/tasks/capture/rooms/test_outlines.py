@@ -92,9 +92,22 @@ def test_two_openings_are_two_passages() -> None:
     assert len(free_of(RECTANGLE, gaps=[Gap(2, 0.5, 1.1, 2.0), Gap(2, 3.0, 0.9, 2.0)])) == 2
 
 
-def test_no_passage_without_floor_behind_it() -> None:
-    assert not free_of(RECTANGLE, gaps=[Gap(2, 2.0, 1.1, 2.0, behind_m=0.01)])
+@pytest.mark.parametrize(("width", "has_lintel", "is_open"), [(1.1, True, True), (1.1, False, False), (1.9, True, False)])
+def test_without_floor_behind_it_only_a_gap_with_its_whole_frame_is_a_passage(width: float, has_lintel: bool, is_open: bool) -> None:
+    cloud, classes = cut_cloud(RECTANGLE, gaps=[Gap(2, 2.0, width, 2.0, behind_m=0.01)])
+    is_lintel = (cloud.points[:, 1] > 1.9) & (cloud.points[:, 2] > 1.9) & (np.abs(cloud.points[:, 0] + 0.05) < 0.6)
+    cloud, classes = masked(cloud, classes, has_lintel | ~is_lintel)
+    shape = estimate_room(cloud, classes)
+    assert len(passages(cloud, wall_points(cloud, classes), shape.polygon, shape.height)) == is_open
+
+
+def test_a_closed_room_has_no_passages() -> None:
     assert not free_of(RECTANGLE)
+
+
+def test_a_gap_behind_furniture_is_no_passage() -> None:
+    gap = Gap(2, 2.0, 1.1, 2.0, behind_m=0.01)
+    assert not free_of(RECTANGLE, gaps=[gap], boxes=[((-0.05, 1.65, 1.0), (1.0, 0.3, 2.0), 0.0)])
 
 
 def test_what_stands_in_an_opening_closes_it() -> None:
