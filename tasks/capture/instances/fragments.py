@@ -117,8 +117,10 @@ class _Pieces:
         """Regions as they are."""
         is_in = region >= 0
         own, weights, colors = region[is_in], areas[is_in], surface.colors[is_in].astype(np.float64)
-        paints = np.stack([np.bincount(own, weights=weights * colors[:, k], minlength=count) for k in range(3)], axis=1)
-        return cls(np.bincount(own, weights=weights, minlength=count), paints, np.arange(count), [[k] for k in range(count)], most)
+        sizes = np.zeros((count, 4))  # area, and area times each color
+        for column, values in enumerate((weights, *(weights * colors[:, k] for k in range(3)))):
+            sizes[:, column] = np.bincount(own, weights=values, minlength=count)
+        return cls(sizes[:, 0].copy(), sizes[:, 1:].copy(), np.arange(count), [[k] for k in range(count)], most)
 
     def root(self, number: int) -> int:
         """The region that a region is part of by now."""

@@ -13,11 +13,16 @@ from tasks.geometry.meshes import Surface
 from tasks.geometry.triangles import vertex_normals
 from tests.capture_scans import plate
 
+Point = tuple[float, float, float]
+Color = tuple[int, int, int]
+Plate = tuple[Point, Point, Point, Color]
+"""Corner and two sides [m], and color."""
+
 GRAY, RED = (150, 150, 150), (200, 60, 50)
 
 
-def scene(*plates: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float], tuple[int, int, int]]):
-    """A surface of plates (corner, two sides [m], color) and the number of each vertex's plate."""
+def scene(*plates: Plate) -> tuple[Surface, np.ndarray]:
+    """A surface of plates and the number of each vertex's plate."""
     pieces = [plate(list(corner), list(a), list(b), 0.02) for corner, a, b, _ in plates]
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
     colors = np.concatenate(
@@ -28,18 +33,18 @@ def scene(*plates: tuple[tuple[float, float, float], tuple[float, float, float],
     return surface, np.repeat(np.arange(len(pieces)), np.diff(starts))
 
 
-def board(x: float, color: tuple[int, int, int] = GRAY, width: float = 0.3):
+def board(x: float, color: Color = GRAY, width: float = 0.3) -> Plate:
     return ((x, 0.0, 1.0), (width, 0.0, 0.0), (0.0, 0.3, 0.0), color)
 
 
-def joined(*plates, **constants: float) -> tuple[np.ndarray, np.ndarray]:
+def joined(*plates: Plate, **constants: float) -> tuple[np.ndarray, np.ndarray]:
     surface, own = scene(*plates)
     region = joined_fragments(surface, vertex_areas(surface), own, FragmentConfig(**constants), RegionConfig())
     return own, np.array([region[own == k][0] for k in range(len(plates))])
 
 
 @pytest.mark.parametrize(("gap", "color", "is_one"), [(0.03, GRAY, True), (0.03, RED, False), (0.12, GRAY, False)])
-def test_pieces_of_one_paint_that_nearly_touch_are_one(gap: float, color: tuple[int, int, int], is_one: bool) -> None:
+def test_pieces_of_one_paint_that_nearly_touch_are_one(gap: float, color: Color, is_one: bool) -> None:
     _, regions = joined(board(0.0), board(0.3 + gap, color))
     assert (regions[0] == regions[1]) == is_one
     assert regions.min() == 0
