@@ -16,6 +16,7 @@ from tasks.candidates.assets import MadeAsset, make_asset
 from tasks.candidates.parametric.building import built
 from tasks.candidates.parametric.forms import forms_of, kind_of
 from tasks.candidates.provider import CandidateProvider, NothingToOffer
+from tasks.candidates.scan_crop import is_stand_in
 from tasks.settings import Config, Count, Positive, Share
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class Parametric(Config):
     covered: Share = 0.68  # of the points: less, and it is another form; a fifth is often pillows, cloths and neighbors
     outside_m: Positive = 0.035  # mean distance of the points, of which those far off count 0.15: points that fill a box are 0.054 off
     bare: Share = 0.42  # of the surface that should be seen: more without points, and the form fills what is empty
-    version: str = "1"  # goes up when the same points would get another asset
+    version: str = "2"  # goes up when the same points would get another asset
 
 
 def parametric_asset(request: CandidateRequest, provider: Parametric) -> MadeAsset:
@@ -55,7 +56,8 @@ def fit_of(request: CandidateRequest, provider: Parametric) -> tuple[str, Parame
     bottom [m], with their colors: shapes (n, 3).
 
     Raises:
-        NothingToOffer: the category has no template, there are too few points, or no template fits them.
+        NothingToOffer: the category has no template, the scan has a plain box instead of the furniture, there are too few points, or no
+            template fits them.
     """
     from tasks.candidates.parametric.distances import fit_target
     from tasks.candidates.parametric.fitting import fitted_template
@@ -63,6 +65,9 @@ def fit_of(request: CandidateRequest, provider: Parametric) -> tuple[str, Parame
     kind = kind_of(request)
     if kind is None:
         raise NothingToOffer(f"no template of a {request.category}")
+    if request.instance.mesh_blob is not None and is_stand_in(request.crop, request.category):
+        # Panels on all sides would fit a box best, and fill the space that chairs are tucked into.
+        raise NothingToOffer(f"the scan has the box of the {request.category} alone, to which no template can be fitted")
     points, colors = request.points
     size = np.array(request.extents)
     within = (np.abs(points) <= 0.5 * size + provider.near_m).all(axis=1)

@@ -72,7 +72,7 @@ def merged_regions(
     names, dense = np.unique(segments[is_in], return_inverse=True)
     region = np.full(len(segments), -1, dtype=np.int64)
     region[is_in] = dense
-    most = max(config.most_share * float(areas.sum()), config.most_m2) if is_room else np.inf
+    most = most_area(areas, config) if is_room else np.inf
     forest = _Merging.of(surface, normals, areas, region, len(names))
     forest.merge(config, most)
     root = np.array([forest.root(number) for number in range(len(names))], dtype=np.int64)
@@ -82,6 +82,11 @@ def merged_regions(
     number[kept] = np.arange(len(kept))
     region[is_in] = number[root[dense]]
     return region
+
+
+def most_area(areas: Array, config: RegionConfig) -> float:
+    """The largest surface that a region of a room may have [m2]. areas: of the scan's vertices [m2], shape (n,)."""
+    return max(config.most_share * float(areas.sum()), config.most_m2)
 
 
 @dataclasses.dataclass

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.cloud import vertex_areas
+from tasks.capture.instances.fragments import FragmentConfig, joined_fragments, without_wall_scraps
 from tasks.capture.instances.islands import islands_of
 from tasks.capture.instances.naming import PROVIDER, UNKNOWN, ShapeNamingConfig, name_by_shape, shape_of
 from tasks.capture.instances.regions import RegionConfig, merged_regions, region_segments
@@ -35,6 +36,7 @@ class SegmentationConfig(Config):
     """How instances are found in a mesh that names none."""
 
     regions: RegionConfig = dataclasses.field(default_factory=RegionConfig)  # see there
+    fragments: FragmentConfig = dataclasses.field(default_factory=FragmentConfig)  # see there
     naming: ShapeNamingConfig = dataclasses.field(default_factory=ShapeNamingConfig)  # see there
 
 
@@ -106,6 +108,9 @@ def _segmented(world: Surface, config: SegmentationConfig, materials: Indices | 
         segments[surface.vertices[:, 2] < -FLOOR_BAND_M] = -1  # what lies below the floor was seen in a mirror, or is noise
     region = merged_regions(surface, normals, areas, segments, config.regions, is_room=bool(planes))
     planes = _with_slivers(planes, surface.vertices[:, 2], region)
+    if any(plane.category == "wall" for plane in planes):
+        planes, region = without_wall_scraps(surface, normals, areas, planes, region, config.fragments)
+        region = joined_fragments(surface, areas, region, config.fragments, config.regions)
     if [plane.category for plane in planes] == ["floor"]:
         region = joined_bodies(surface, normals, region)
     return _Segmented(even, normals, areas, planes, region)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.cloud import Cloud
-from tasks.capture.rooms.plan import CELL_M, FloorCells, closed, enclosed, largest
+from tasks.capture.rooms.directions import MAX_PASSAGE_M, SlantedWall, slanted_walls_of, with_ends_on
+from tasks.capture.rooms.plan import CELL_M, FloorCells, closed, enclosed, largest, walled
 
 if TYPE_CHECKING:
     from shapely import Geometry, Polygon
@@ -24,26 +24,11 @@ _WALL_THICKNESS_M = 0.23
 _MIN_OVERLAP = 0.85
 """Least overlap of the snapped and the seen outline: with less, walls are askew."""
 
-_MAX_PASSAGE_M = 2.6
-"""Widest opening through which floor of a neighboring room is seen; wider ones join two parts of a room."""
-
 _ON_LINE_M = 0.1
 """Floor that begins so near to the line of a wall lies behind it [m]."""
 
-_MIN_SLANT, _UPRIGHT = np.sin(np.deg2rad(12)), 0.4
-"""Least sine of the angle between a slanted wall and the axes: noise turns normals by ten degrees. Most vertical part of its normal."""
-
-_BIN_DEGREES, _PLANE_M = 5, 0.06
-"""Width of a direction, and half the thickness of a wall's surface by noise and drift."""
-
-_MIN_SLANTED_M2, _MIN_SLANTED_M, _MIN_TALL_M = 0.4, 0.25, 1.0
-"""Least surface, length and height of a slanted wall: less is a side of furniture, or a rounded corner."""
-
-_GAP_M = 0.3
-"""Gap in a slanted wall that furniture leaves [m]."""
-
-_MIN_CHORD_SHARE = 0.5
-"""Least share of the cut through a corner along which the slanted wall was seen."""
+_MIN_CHORD_SHARE, _SPARSE_CHORD_SHARE = 0.5, 0.8
+"""Least share of the cut through a corner along which the slanted wall was seen; the second one if little of its surface was."""
 
 _MAX_SEEN_SHARE = 0.6
 """Most of the corner behind a slanted wall that was seen: behind a partition all of it, through an opening a part."""
@@ -51,37 +36,25 @@ _MAX_SEEN_SHARE = 0.6
 _MAX_CUT_SHARE = 0.4
 """Most of a floor that one slanted wall or opening takes away."""
 
-_MAX_CORNER_SHARE, _BACK_M = 0.15, 0.4
-"""Most of a floor that a slanted wall cuts off although floor was seen behind it, through an opening. A partition has another face
-within this distance [m], and cuts off nothing that was seen."""
+_MAX_CORNER_SHARE = 0.15
+"""Most of a floor that a slanted wall cuts off although floor was seen behind it, through an opening. A partition has another face, and
+cuts off nothing that was seen."""
 
 _MIN_WALLED_SHARE = 0.3
 """Least share of the border of a room behind an opening along which its walls were seen: less is floor seen through that opening."""
 
+_MAX_WALLED_SHARE, _MIN_LINTEL_SHARE, _LINTEL_M = 0.75, 0.5, 1.8
+"""Most of that border along which walls were seen if wall was seen above at least this share of the opening, from this height [m] on:
+a hall whose far wall shows. A bay has no wall above its opening, and a scanned room behind one has walls all around."""
+
 _NECK_M = 0.03
 """Parts that hang together by less than twice this are apart, and corners nearer to an edge are none [m]."""
 
+_MIN_NOTCH_WALL_SHARE, _NOTCH_REACH_M = 0.4, 0.08
+"""Least share of a notch's own sides with wall points within this distance [m]: with less, the notch is floor that no camera saw."""
+
 _MIN_STEP_M = 0.12
 """Ends of slanted walls nearer to another line are on it."""
-
-
-@dataclasses.dataclass(frozen=True)
-class SlantedWall:
-    """A wall that runs along no axis: ends seen from above [m], and the unit normal that looks into the room, shapes (2,).
-
-    seen_m: length of the wall without its openings [m]. has_back: its other face was seen, too.
-    """
-
-    start: Array
-    end: Array
-    normal: Array
-    seen_m: float
-    has_back: bool = False
-
-    @property
-    def length(self) -> float:
-        """Length [m]."""
-        return float(np.linalg.norm(self.end - self.start))
 
 
 def snapped_outline(plan: FloorCells, outline: Polygon, lines: Sequence[Array], cloud: Cloud, is_wall: Mask) -> tuple[Polygon, bool]:
@@ -102,7 +75,7 @@ def snapped_outline(plan: FloorCells, outline: Polygon, lines: Sequence[Array], 
     own_outline = without_passages(outline, lines, cloud.points[is_wall])
     plan, outline = plan.without(outline.difference(own_outline)), own_outline
     simple = outline.simplify(0.12)
-    slanted = slanted_walls_of(cloud, is_wall)
+    slanted = [with_ends_on(wall, lines) for wall in slanted_walls_of(cloud, is_wall)]
     xs, ys = (_with_ends(_with_outline(lines[axis], simple, axis), slanted, axis) for axis in (0, 1))
     share = plan.filled_share(xs, ys)
     # A strip no wider than a wall between two walls is that wall, though modelled floors run on below it. Inside the
@@ -110,7 +83,8 @@ def snapped_outline(plan: FloorCells, outline: Polygon, lines: Sequence[Array], 
     is_floor = ~_is_wall_strip(xs, lines[0])[:, None] & ~_is_wall_strip(ys, lines[1])
     chosen = (share > 0.5) & is_floor
     if min(map(len, lines)) >= 2:
-        hidden = is_floor & ~chosen & enclosed(cloud, is_wall, xs, ys, lines) & (plan.filled_share(xs, ys, is_seen=True) > 0.0)
+        is_shown = (plan.filled_share(xs, ys, is_seen=True) > 0.0) | walled(cloud, is_wall, xs, ys)
+        hidden = is_floor & ~chosen & is_shown & enclosed(cloud, is_wall, xs, ys, lines)
         outline = shapely.union_all([outline, *(shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(hidden))])
         chosen |= hidden
     boxes = [shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(chosen)]
@@ -118,7 +92,7 @@ def snapped_outline(plan: FloorCells, outline: Polygon, lines: Sequence[Array], 
         # Strips narrower than a wall is thick are floor below a wall, or its recess at a window.
         shape = largest(closed(closed(shapely.union_all(boxes), 0.2), -0.13))
         if shape is not None:
-            cut = along_slanted(shape.simplify(0.03), slanted, plan)
+            cut = along_slanted(shape.simplify(0.03), slanted, plan, cloud.points[is_wall, :2])
             own = without_neighbors(outline, cut, lines)
             if cut.intersection(own).area > _MIN_OVERLAP * cut.union(own).area:
                 return cut, True
@@ -148,10 +122,12 @@ def without_passages(shape: Polygon, lines: Sequence[Array], walls: Array) -> Po
                     continue
                 ends = np.asarray(part.exterior.segmentize(0.1).coords)[:-1]
                 is_contact = np.abs(ends[:, axis] - position) < 1.5 * _ON_LINE_M
-                if is_contact.all() or not is_contact.any() or np.ptp(ends[is_contact, 1 - axis]) > _MAX_PASSAGE_M:
+                if is_contact.all() or not is_contact.any() or np.ptp(ends[is_contact, 1 - axis]) > MAX_PASSAGE_M:
                     continue
                 has_wall = tree.query(ends[~is_contact], distance_upper_bound=_WALL_THICKNESS_M)[0] < np.inf
-                if has_wall.mean() < _MIN_WALLED_SHARE:
+                ends_along = ends[is_contact, 1 - axis]
+                is_hall = has_wall.mean() < _MAX_WALLED_SHARE and _has_lintel(walls, axis, position, ends_along)
+                if has_wall.mean() < _MIN_WALLED_SHARE or is_hall:
                     edge_low, edge_high = np.full(2, -1e3), np.full(2, 1e3)
                     (edge_low if side > 0 else edge_high)[axis] = position
                     behind = shape.intersection(shapely.box(*edge_low, *edge_high))
@@ -159,6 +135,22 @@ def without_passages(shape: Polygon, lines: Sequence[Array], walls: Array) -> Po
                     rest = largest(shape.difference(shapely.union_all(own)))
                     shape = rest if rest is not None else shape
     return shape
+
+
+def _has_lintel(walls: Array, axis: int, position: float, ends_along: Array) -> bool:
+    """True if wall was seen above most of an opening in the wall at a position along an axis [m].
+
+    Args:
+        walls: points of walls [m], shape (n, 3).
+        axis: across which the wall stands, 0 or 1.
+        position: of the wall along that axis [m].
+        ends_along: places along the wall that the opening contains [m], shape (k,).
+    """
+    low, high = float(ends_along.min()), float(ends_along.max())
+    count = int((high - low) / CELL_M)
+    is_above = (np.abs(walls[:, axis] - position) < _ON_LINE_M) & (walls[:, 2] > _LINTEL_M)
+    cell = np.floor((walls[is_above, 1 - axis] - low) / CELL_M).astype(np.int64)
+    return count > 0 and len(np.unique(cell[(cell >= 0) & (cell < count)])) >= _MIN_LINTEL_SHARE * count
 
 
 def without_neighbors(outline: Geometry, shape: Polygon, lines: Sequence[Array]) -> Geometry:
@@ -180,90 +172,19 @@ def without_neighbors(outline: Geometry, shape: Polygon, lines: Sequence[Array])
         axis = int(np.argmin(high - low))
         middle = 0.5 * (low + high)[axis]
         is_on_line = bool((np.abs(lines[axis] - middle) < _ON_LINE_M).any()) and (high - low)[axis] < 2 * _ON_LINE_M
-        if is_on_line and (high - low)[1 - axis] <= _MAX_PASSAGE_M:
+        if is_on_line and (high - low)[1 - axis] <= MAX_PASSAGE_M:
             beyond.append(part)
     return outline.difference(shapely.union_all(beyond)) if beyond else outline
 
 
-def slanted_walls_of(cloud: Cloud, is_wall: Mask) -> list[SlantedWall]:
-    """Walls that run along no axis, the largest first. is_wall: which points of the cloud are wall, shape (n,)."""
-    plan = cloud.normals[:, :2]
-    is_slanted = is_wall & (np.abs(cloud.normals[:, 2]) < _UPRIGHT) & (np.abs(plan).min(axis=1) > _MIN_SLANT)
-    points, areas = cloud.points[is_slanted], cloud.areas[is_slanted]
-    angles = np.arctan2(plan[is_slanted, 1], plan[is_slanted, 0]) % (2 * np.pi)
-    is_free = np.ones(len(points), dtype=bool)
-    walls: list[tuple[float, SlantedWall]] = []
-    count = 360 // _BIN_DEGREES
-    while True:
-        bins = (angles[is_free] / (2 * np.pi) * count).astype(np.int64) % count
-        weights = np.bincount(bins, weights=areas[is_free], minlength=count)
-        near = weights + np.roll(weights, 1) + np.roll(weights, -1)
-        if near.max() < _MIN_SLANTED_M2:
-            break
-        middle = (int(np.argmax(near)) + 0.5) * 2 * np.pi / count
-        off = (angles - middle + np.pi) % (2 * np.pi) - np.pi
-        facing = is_free & (np.abs(off) < np.deg2rad(1.5 * _BIN_DEGREES))
-        yaw = middle + float(np.average(off[facing], weights=areas[facing] + 1e-12))
-        facing = is_free & (np.abs((angles - yaw + np.pi) % (2 * np.pi) - np.pi) < np.deg2rad(2.5 * _BIN_DEGREES))
-        walls += _walls_facing(yaw, points[facing], areas[facing])
-        is_free &= ~facing
-    ordered = [wall for _, wall in sorted(walls, key=lambda entry: -entry[0])]
-    return [dataclasses.replace(wall, has_back=any(_is_back(wall, other) for other in ordered)) for wall in ordered]
-
-
-def _is_back(wall: SlantedWall, other: SlantedWall) -> bool:
-    """True if another wall is the other face of a wall."""
-    away = 0.5 * (other.start + other.end - wall.start - wall.end)
-    is_near = abs(float(away @ wall.normal)) < _BACK_M and float(np.linalg.norm(away)) < 0.5 * (wall.length + other.length)
-    return is_near and float(wall.normal @ other.normal) < -np.cos(np.deg2rad(15))
-
-
-def _walls_facing(yaw: float, points: Array, areas: Array) -> list[tuple[float, SlantedWall]]:
-    """Walls among points, shape (n, 3) [m], whose normals have an angle [rad], each with its surface [m2]."""
-    normal, along = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
-    offset, place = points[:, :2] @ normal, points[:, :2] @ along
-    is_free = np.ones(len(points), dtype=bool)
-    walls = []
-    while areas[is_free].sum() >= _MIN_SLANTED_M2:
-        start = float(offset[is_free].min())
-        bins = np.floor((offset[is_free] - start) / 0.02).astype(np.int64)
-        smooth = np.convolve(np.bincount(bins, weights=areas[is_free], minlength=5), np.ones(5), mode="same")
-        if smooth.max() < _MIN_SLANTED_M2:
-            break
-        middle = start + (int(np.argmax(smooth)) + 0.5) * 0.02
-        members = np.flatnonzero(is_free & (np.abs(offset - middle) < _PLANE_M))
-        is_free[members] = False
-        order = members[np.argsort(place[members], kind="stable")]
-        for stretch in np.split(order, np.flatnonzero(np.diff(place[order]) > _MAX_PASSAGE_M) + 1):
-            wall = _fitted_wall(points[stretch], normal)
-            area, tall = float(areas[stretch].sum()), float(np.ptp(np.percentile(points[stretch, 2], [2, 98])))
-            if area >= _MIN_SLANTED_M2 and wall.seen_m >= _MIN_SLANTED_M and tall >= _MIN_TALL_M:
-                walls.append((area, wall))
-    return walls
-
-
-def _fitted_wall(points: Array, toward: Array) -> SlantedWall:
-    """The straight wall through points, shape (n, 3) [m]. toward: a direction near its normal, shape (2,)."""
-    center = points[:, :2].mean(axis=0)
-    # Normals of fused depth are off by degrees, places along a wall by a centimeter.
-    spread = points[:, :2] - center
-    normal = np.linalg.eigh(spread.T @ spread)[1][:, 0]
-    normal = normal if normal @ toward > 0 else -normal
-    normal = normal if normal @ toward > np.cos(np.deg2rad(3 * _BIN_DEGREES)) else toward
-    along = np.array([-normal[1], normal[0]])
-    places = np.sort(spread @ along)
-    low, high = np.percentile(places, [1, 99])
-    gaps = np.diff(places[(places >= low) & (places <= high)])
-    return SlantedWall(center + low * along, center + high * along, normal, float(high - low - gaps[gaps > _GAP_M].sum()))
-
-
-def along_slanted(shape: Polygon, walls: Sequence[SlantedWall], plan: FloorCells) -> Polygon:
+def along_slanted(shape: Polygon, walls: Sequence[SlantedWall], plan: FloorCells, wall_points: Array) -> Polygon:
     """A floor made of rectangles that ends at slanted walls: corners behind them are cut off.
 
     Args:
         shape: floor with edges along the axes.
         walls: slanted walls, the largest first.
         plan: where floor and objects were seen.
+        wall_points: points of walls seen from above [m], shape (n, 2).
     """
     import shapely
 
@@ -273,7 +194,9 @@ def along_slanted(shape: Polygon, walls: Sequence[SlantedWall], plan: FloorCells
         start, end = (_at_edges(place, corners) for place in (wall.start, wall.end))
         box = shapely.box(*np.minimum(start, end), *np.maximum(start, end))
         front = box.intersection(_half_plane(wall, wall.normal))
-        if front.difference(shape).area > CELL_M**2 and _seen_share(front.difference(shape), plan) > 0.5:
+        missing = front.difference(shape)
+        is_floor = missing.area > CELL_M**2 and (_seen_share(missing, plan) > 0.5 or _has_no_sides(missing, shape, wall, wall_points))
+        if is_floor:
             filled = largest(closed(shape.union(front), 0.02))
             shape = filled if filled is not None else shape
         behind = shape.intersection(_half_plane(wall, -wall.normal))
@@ -285,10 +208,28 @@ def along_slanted(shape: Polygon, walls: Sequence[SlantedWall], plan: FloorCells
             if chord <= 0.0 or part.area > _MAX_CUT_SHARE * shape.area:
                 continue
             is_corner = not wall.has_back and part.area <= _MAX_CORNER_SHARE * shape.area
+            if wall.is_sparse and wall.seen_m < _SPARSE_CHORD_SHARE * chord:
+                continue
             if wall.seen_m >= _MIN_CHORD_SHARE * chord and (is_corner or _seen_share(part, plan) <= _MAX_SEEN_SHARE):
                 rest = largest(closed(shape.difference(part), -_NECK_M))
                 shape = rest if rest is not None else shape
     return _simplified(shape)
+
+
+def _has_no_sides(notch: Geometry, shape: Polygon, wall: SlantedWall, wall_points: Array) -> bool:
+    """True if no walls were seen along the border between a notch before a slanted wall and the floor around that notch."""
+    from scipy.spatial import cKDTree
+
+    border = notch.boundary.intersection(shape.exterior.buffer(1e-3))
+    if border.is_empty or not len(wall_points):
+        return False
+    places = np.array([border.interpolate(at).coords[0] for at in np.arange(0.0, border.length, 0.5 * CELL_M)])
+    # Near the slanted wall, its own points would count as the notch's sides.
+    places = places[(places - wall.start) @ wall.normal > 2 * _NOTCH_REACH_M]
+    if not len(places):
+        return False
+    distance, _ = cKDTree(wall_points).query(places, distance_upper_bound=_NOTCH_REACH_M)
+    return bool(np.isfinite(distance).mean() < _MIN_NOTCH_WALL_SHARE)
 
 
 def _at_edges(place: Array, corners: Array) -> Array:

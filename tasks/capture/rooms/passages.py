@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,11 +40,47 @@ FLOOR_M, LEVEL = 0.08, 0.8
 MIN_FLOOR_SHARE = 0.5
 """Least share of a gap's width behind which floor was seen; reflections on a polished floor show less."""
 
+MIN_GLIMPSE_M, MIN_SIDE_BANDS = 0.15, 6
+"""Width of floor behind a gap [m] that suffices if the gap is framed: wall in so many bands on both sides and above, floor and nothing
+else before it. Cameras that pass at a slant see no more."""
+
+CLEAR_SIDE_BANDS, MIN_CLEAR_SHARE, MAX_CLEAR_WIDTH_M = 8, 0.9, 1.6
+"""Without floor behind it, a gap is a passage if it has at least so many bands of wall on both sides, floor before this share of its width
+and nothing else, and is no wider than a double door [m]: surface that cameras missed has no straight frame up to a lintel."""
+
+BEFORE_M, MAX_HIDDEN_SHARE = 0.6, 0.2
+"""Distance before a gap within which nothing may stand [m], and most of its width that may be hidden even so."""
+
 MAX_STANDING_POINTS = 2
 """Points of a column in the gap that belong to objects: with more, something stands in it and the wall is hidden."""
 
 MIN_SIDE_M = 0.1
 """Wall seen next to a gap [m], or a corner of the room: the scan may end otherwise."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Frame:
+    """Cells along a wall, shape (n,) each: bands of height with wall, and True for cells with wall above passages, with floor behind the
+    wall and before it, and with objects before it."""
+
+    bands: NDArray[np.int64]
+    has_lintel: Mask
+    has_floor: Mask
+    has_floor_before: Mask
+    is_hidden: Mask
+
+    def is_around(self, start: int, stop: int) -> bool:
+        """True if a gap between two cells has an opening's frame, with a glimpse of floor behind it or a frame seen whole."""
+        side, gap = round(MIN_SIDE_M / CELL_M), slice(start, stop)
+        sides = (self.bands[max(start - side, 0) : start], self.bands[stop : stop + side])
+        side_bands = min(int(cells.max(initial=0)) for cells in sides)
+        shown, hidden = float(self.has_floor_before[gap].mean()), float(self.is_hidden[gap].mean())
+        is_framed = side_bands >= MIN_SIDE_BANDS and self.has_lintel[gap].mean() >= MIN_FLOOR_SHARE
+        is_clear = side_bands >= CLEAR_SIDE_BANDS and shown >= MIN_CLEAR_SHARE and hidden == 0.0
+        is_clear = is_clear and (stop - start) * CELL_M <= MAX_CLEAR_WIDTH_M
+        has_glimpse = self.has_floor[gap].sum() * CELL_M >= MIN_GLIMPSE_M
+        is_free = shown >= MIN_FLOOR_SHARE and hidden <= MAX_HIDDEN_SHARE
+        return bool(is_framed and (is_clear or (has_glimpse and is_free)))
 
 
 def passages(cloud: Cloud, is_wall: Mask, polygon: Array, height: float) -> list[Array]:
@@ -76,13 +114,22 @@ def _on_line(line: WallLine, cloud: Cloud, is_wall: Mask, height: float) -> list
     is_level = np.abs(cloud.normals[:, 2]) > LEVEL
     is_behind = is_here & is_level & (np.abs(z) < FLOOR_M) & (inward < -BEHIND_M[0]) & (inward > -BEHIND_M[1])
     has_floor = np.bincount(cell[is_behind], minlength=count) > 0
+    is_before = is_here & (inward > NEAR_M) & (inward < BEFORE_M)
+    frame = _Frame(
+        bands=bands,
+        has_lintel=np.bincount(cell[is_face & (z >= min(MIN_TOP_M, height))], minlength=count) > 0,
+        has_floor=has_floor,
+        has_floor_before=np.bincount(cell[is_before & is_level & (np.abs(z) < FLOOR_M)], minlength=count) > 0,
+        is_hidden=np.bincount(cell[is_before & ~is_wall & is_free_height], minlength=count) > MAX_STANDING_POINTS,
+    )
     is_gap = (bands < MIN_WALL_BANDS) & (standing <= MAX_STANDING_POINTS)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_gap.astype(np.int8), [0]]))).reshape(-1, 2)
     step, face_places = line.length / count, along[is_face & is_free_height]
     corners = []
     for start, stop in edges.tolist():
         # A slanted view through the opening shows floor behind a part of its width.
-        if has_floor[start:stop].mean() < MIN_FLOOR_SHARE or not _has_sides(is_gap, start, stop):
+        shows_floor = has_floor[start:stop].mean() >= MIN_FLOOR_SHARE or frame.is_around(start, stop)
+        if not shows_floor or not _has_sides(is_gap, start, stop):
             continue
         low, high = _end(face_places, start * step, -1.0), _end(face_places, stop * step, 1.0)
         low, high = max(low, 0.0), min(high, line.length)

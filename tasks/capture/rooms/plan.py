@@ -133,6 +133,12 @@ class FloorCells:
 _SEEN_SHARE = 0.25
 """Of the side of a rectangle, along which walls must be seen that face it."""
 
+_OWN_WALL_SHARE, _ON_SIDE_M = 0.5, 0.1
+"""Of the side of a rectangle, along which a wall on that side, this near [m], shows that the rectangle is floor."""
+
+_MIN_OTHER_M = 0.3
+"""Of the opposite side, along which a wall there shows that a rectangle may lie behind it [m]."""
+
 _BIN_M = 0.1
 """Parts of a side in which the nearest wall is looked for."""
 
@@ -167,6 +173,34 @@ def enclosed(cloud: Cloud, is_wall: NDArray[np.bool_], xs: Array, ys: Array, lin
                     faced[place] += (here > 0).sum() >= max(_SEEN_SHARE * cells, float((here < 0).sum()))
                     inside[place] &= bool(is_bounded)
     return np.asarray(inside & (faced >= 3))
+
+
+def walled(cloud: Cloud, is_wall: NDArray[np.bool_], xs: Array, ys: Array) -> NDArray[np.bool_]:
+    """Which rectangles between consecutive lines have on one side a wall that faces them, and opposite of it no wall, shape
+    (len(xs) - 1, len(ys) - 1).
+
+    Args:
+        cloud: points of the scan.
+        is_wall: which of these points are wall, shape (n,).
+        xs: positions of lines across x, sorted [m].
+        ys: positions of lines across y, sorted [m].
+    """
+    is_walled = np.zeros((len(xs) - 1, len(ys) - 1), dtype=np.bool_)
+    for axis, across, beside in ((0, xs, ys), (1, ys, xs)):
+        upright = is_wall & (np.abs(cloud.normals[:, axis]) > 0.7)
+        at, along, normal = cloud.points[upright, axis], cloud.points[upright, 1 - axis], cloud.normals[upright, axis]
+        for k, m in itertools.product(range(len(across) - 1), range(len(beside) - 1)):
+            is_along = (along > beside[m]) & (along < beside[m + 1])
+            near, far = (is_along & (np.abs(at - side) < _ON_SIDE_M) for side in (across[k], across[k + 1]))
+            for own, other, facing in ((near, far, normal > 0.0), (far, near, normal < 0.0)):
+                has_wall = _length(along[own & facing]) >= _OWN_WALL_SHARE * (beside[m + 1] - beside[m])
+                is_walled[(k, m) if axis == 0 else (m, k)] |= has_wall and _length(along[other]) < _MIN_OTHER_M
+    return is_walled
+
+
+def _length(along: Array) -> float:
+    """Length along which points lie [m], by their places [m], shape (n,)."""
+    return len(np.unique(np.floor(along / _BIN_M))) * _BIN_M
 
 
 def closed(shape: Any, reach: float) -> Any:

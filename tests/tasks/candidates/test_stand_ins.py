@@ -6,25 +6,31 @@ import numpy as np
 import pytest
 import trimesh
 
+from schemas.candidates import Candidate
 from tasks.candidates.scan_crop import is_stand_in
 from tasks.geometry.meshes import dump_glb, surface_of
 from tasks.geometry.transforms import yaw_pose
 from tasks.stage import Blobs
 from tests.tasks.candidates.crops import candidates_of, furniture
 
+FITTED_SLOT = 4
 BOX_SLOTS = (5, 6)
 
 
-def outcomes(category: str, size: tuple[float, float, float], parts: list[trimesh.Trimesh], yaw: float = 0.7) -> dict[int, str]:
-    """Outcome of each slot of an instance whose mesh is of parts that stand about the origin."""
+def rows_of(category: str, size: tuple[float, float, float], parts: list[trimesh.Trimesh], yaw: float = 0.7) -> dict[int, Candidate]:
+    """Each slot of an instance whose mesh is of parts that stand about the origin."""
     files = Blobs()
     _, blobs = furniture(1, category, size, yaw)
     posed = yaw_pose(yaw, np.array([2.0, 2.0, 0.0]))
     for part in parts:
         part.apply_transform(posed)
     changed, own = furniture(1, category, size, yaw, mesh_blob=files.add(dump_glb(parts), "glb"))
-    rows = candidates_of((changed, {**blobs, **own, **files})).rows["candidates"]
-    return {row.slot: row.outcome for row in rows}
+    return {row.slot: row for row in candidates_of((changed, {**blobs, **own, **files})).rows["candidates"]}
+
+
+def outcomes(category: str, size: tuple[float, float, float], parts: list[trimesh.Trimesh]) -> dict[int, str]:
+    """Outcome of each slot, as `rows_of`."""
+    return {slot: row.outcome for slot, row in rows_of(category, size, parts).items()}
 
 
 def box(size: tuple[float, float, float]) -> trimesh.Trimesh:
@@ -54,3 +60,13 @@ def test_a_cabinet_that_is_a_box_keeps_its_crop() -> None:
     size = (1.0, 0.5, 1.8)
     slots = outcomes("cabinet", size, [box(size)])
     assert {slots[slot] for slot in BOX_SLOTS} == {"filled"}
+
+
+@pytest.mark.parametrize(("category", "size"), [("table", (3.62, 0.95, 0.74)), ("chair", (0.5, 0.5, 0.85))])
+def test_no_template_is_fitted_to_a_box_that_stands_in_for_furniture(category: str, size: tuple[float, float, float]) -> None:
+    # Panels on all sides would fit best, and leave no room for chairs that are tucked in.
+    row = rows_of(category, size, [box(size)])[FITTED_SLOT]
+    assert (row.provider, row.is_fallback) == ("procedural", True)
+    assert row.reason is not None
+    assert "box" in row.reason
+    assert "box" not in (rows_of(category, size, [box(size).subdivide()])[FITTED_SLOT].reason or "")

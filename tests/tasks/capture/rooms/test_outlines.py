@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import shapely
 
+from tasks.capture.cloud import Cloud
+from tasks.capture.labels import WALL
 from tasks.capture.rooms.passages import passages
 from tasks.capture.rooms.room import RoomShape, estimate_room, wall_points
 from tests.tasks.capture.rooms.cut_rooms import HEIGHT_M, Gap, Ring, cut_cloud
@@ -90,10 +92,80 @@ def test_two_openings_are_two_passages() -> None:
     assert len(free_of(RECTANGLE, gaps=[Gap(2, 0.5, 1.1, 2.0), Gap(2, 3.0, 0.9, 2.0)])) == 2
 
 
-def test_no_passage_without_floor_behind_it() -> None:
-    assert not free_of(RECTANGLE, gaps=[Gap(2, 2.0, 1.1, 2.0, behind_m=0.01)])
+@pytest.mark.parametrize(("width", "has_lintel", "is_open"), [(1.1, True, True), (1.1, False, False), (1.9, True, False)])
+def test_without_floor_behind_it_only_a_gap_with_its_whole_frame_is_a_passage(width: float, has_lintel: bool, is_open: bool) -> None:
+    cloud, classes = cut_cloud(RECTANGLE, gaps=[Gap(2, 2.0, width, 2.0, behind_m=0.01)])
+    is_lintel = (cloud.points[:, 1] > 1.9) & (cloud.points[:, 2] > 1.9) & (np.abs(cloud.points[:, 0] + 0.05) < 0.6)
+    cloud, classes = masked(cloud, classes, has_lintel | ~is_lintel)
+    shape = estimate_room(cloud, classes)
+    assert len(passages(cloud, wall_points(cloud, classes), shape.polygon, shape.height)) == is_open
+
+
+def test_a_closed_room_has_no_passages() -> None:
     assert not free_of(RECTANGLE)
+
+
+def test_a_gap_behind_furniture_is_no_passage() -> None:
+    gap = Gap(2, 2.0, 1.1, 2.0, behind_m=0.01)
+    assert not free_of(RECTANGLE, gaps=[gap], boxes=[((-0.05, 1.65, 1.0), (1.0, 0.3, 2.0), 0.0)])
 
 
 def test_what_stands_in_an_opening_closes_it() -> None:
     assert not free_of(RECTANGLE, gaps=[DOORWAY], boxes=[((-0.05, 2.02, 1.0), (1.1, 0.05, 2.0), 0.0)])
+
+
+def masked(cloud: Cloud, classes: np.ndarray, is_kept: np.ndarray) -> tuple[Cloud, np.ndarray]:
+    """A scan of which a part was not seen."""
+    return Cloud(*(values[is_kept] for values in (cloud.points, cloud.normals, cloud.areas, cloud.instance))), classes[is_kept]
+
+
+def test_floor_that_no_camera_saw_before_a_slanted_wall_is_floor() -> None:
+    ring = chamfered(0.8)
+    cloud, classes = cut_cloud(ring)
+    is_corner = (cloud.points[:, :2] > [1.65, -9.0]).all(axis=1) & (cloud.points[:, 1] < -1.15)
+    shape = estimate_room(*masked(cloud, classes, ~(is_corner & (classes != WALL))))
+    assert shapely.Polygon(shape.polygon).hausdorff_distance(shapely.Polygon(ring)) < MAX_ERROR_M
+
+
+@pytest.mark.parametrize("is_across", [True, False])
+def test_a_slanted_wall_of_little_surface_cuts_a_corner_that_it_spans(is_across: bool) -> None:
+    cloud, classes = cut_cloud(chamfered(0.5))
+    is_slanted = (classes == WALL) & (np.abs(cloud.normals[:, :2]).min(axis=1) > 0.5)
+    is_seen = (cloud.points[:, 2] > 0.1) & (cloud.points[:, 2] < 1.4) & (np.arange(len(classes)) % 5 < (2 if is_across else 4))
+    is_seen &= is_across | (cloud.points[:, 0] > 2.25)
+    assert 0.2 < float(cloud.areas[is_slanted & is_seen].sum()) < 0.4
+    shape = estimate_room(*masked(cloud, classes, ~is_slanted | is_seen))
+    assert (len(shape.polygon) == 5) == is_across
+
+
+def test_a_hall_behind_an_opening_is_not_of_the_room_though_its_far_wall_was_seen() -> None:
+    cloud, classes = cut_cloud(RECTANGLE, gaps=[DOORWAY])
+    x, z = (grid.ravel() for grid in np.meshgrid(np.arange(-0.9, 0.9, 0.05), np.arange(0.0, HEIGHT_M, 0.05)))
+    far = np.column_stack([x, np.full(len(x), 3.4), z])
+    hall = Cloud(
+        np.concatenate([cloud.points, far]),
+        np.concatenate([cloud.normals, np.tile([0.0, -1.0, 0.0], (len(far), 1))]),
+        np.concatenate([cloud.areas, np.full(len(far), 0.0025)]),
+        np.concatenate([cloud.instance, np.full(len(far), 0)]),
+    )
+    shape = estimate_room(hall, np.concatenate([classes, np.full(len(far), WALL)]))
+    assert shapely.Polygon(shape.polygon).hausdorff_distance(shapely.Polygon(RECTANGLE)) < MAX_ERROR_M
+
+
+def test_floor_that_no_camera_saw_along_a_wall_is_floor() -> None:
+    cloud, classes = cut_cloud(RECTANGLE)
+    is_hole = (classes != WALL) & (cloud.points[:, 0] < -1.6) & (np.abs(cloud.points[:, 1]) < 1.0) & (cloud.points[:, 2] < 1.0)
+    shape = estimate_room(*masked(cloud, classes, ~is_hole))
+    assert shapely.Polygon(shape.polygon).hausdorff_distance(shapely.Polygon(RECTANGLE)) < MAX_ERROR_M
+
+
+@pytest.mark.parametrize("is_framed", [True, False])
+def test_a_framed_gap_with_a_glimpse_of_floor_behind_it_is_a_passage(is_framed: bool) -> None:
+    cloud, classes = cut_cloud(RECTANGLE, gaps=[DOORWAY])
+    # Of the floor behind, 20 cm of the opening's width were seen; without a frame, the wall above was not seen either.
+    is_kept = (cloud.points[:, 1] < 2.05) | (np.abs(cloud.points[:, 0] - 0.3) < 0.1)
+    is_kept &= is_framed | (classes != WALL) | (cloud.points[:, 2] < 1.75) | (cloud.points[:, 1] < 1.9)
+    cloud, classes = masked(cloud, classes, is_kept)
+    shape = estimate_room(cloud, classes)
+    free = passages(cloud, wall_points(cloud, classes), shape.polygon, shape.height)
+    assert len(free) == is_framed
