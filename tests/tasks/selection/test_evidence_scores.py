@@ -61,7 +61,7 @@ def test_the_true_model_goes_before_the_crop_of_its_scan() -> None:
     assert rows[0].score >= rows[1].score
 
 
-@pytest.mark.parametrize("names", [("library", "library"), ("procedural", "shap_e"), ("library", CROP)])
+@pytest.mark.parametrize("names", [("parametric", "procedural"), ("procedural", "shap_e"), ("shap_e", CROP)])
 def test_scores_are_the_same_whoever_offers_what_fits_better(names: tuple[str, str]) -> None:
     """Of a crop that wins, under any names: the numbers of both are those under their own names."""
     crop = noisy(u_sofa(), np.random.default_rng(1))
