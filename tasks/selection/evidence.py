@@ -32,10 +32,11 @@ from tasks.alignment import (
 from tasks.alignment.measures import f_score
 from tasks.geometry.boxes import grown_box, oriented_iou
 from tasks.geometry.transforms import inverse, transform_points, translation, yaw_pose
-from tasks.selection.coloring import color_histogram, color_similarity
+from tasks.mounting import mounting
+from tasks.selection.coloring import color_error, color_histogram, color_similarity
 from tasks.selection.neighbors import Neighborhood, foreign_share
 from tasks.selection.recognition import has_own_size, is_recognized, likeness_of, recognized_first
-from tasks.selection.scoring import WITHIN, ScoreConfig, is_own_geometry, score_of, whole_first
+from tasks.selection.scoring import WITHIN, ScoreConfig, finest_first, is_own_geometry, pattern_first, score_of, whole_first
 from tasks.stage import Context
 from tasks.views.crops import Crop, crop_of, filling
 
@@ -247,7 +248,16 @@ def evidence_of(
     within = WITHIN * covered_within(target.diagonal, score.threshold_m, score.threshold_share, score.threshold_least_m)
     f_scores = np.array([f_score(target, each.sample, each.fit, within, alignment) for each in measured])
     scores, foreign_shares = np.array([each.geometric for each in measured]), np.array([each.foreign for each in measured])
-    scores = whole_first(scores, f_scores, foreign_shares, [each.own for each in measured], score.whole_margin)
+    scores = finest_first(scores, [each.asset.provider for each in measured], score.finest_margin)
+    # Windows are seen through: their colors are those of what lies behind.
+    is_opaque = mounting(query.category).kind != "let_in"
+    errors = (
+        np.array([color_error(query.points, query.colors, each.placed[0], each.sample.colors) for each in measured]) if is_opaque else None
+    )
+    own = [each.own for each in measured]
+    scores = whole_first(scores, f_scores, foreign_shares, own, score.whole_margin, errors, score.color_margin)
+    if errors is not None:
+        scores = pattern_first(scores, own, errors, score.whole_margin, score.color_margin)
     scores = recognized_first(scores, _recognized(query, measured, neighborhood, within, score, alignment), score.recognized_lead)
     return [dataclasses.replace(each, geometric=float(value)) for each, value in zip(measured, scores, strict=True)]
 

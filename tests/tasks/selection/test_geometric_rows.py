@@ -88,7 +88,7 @@ def test_rows_are_those_of_a_second_computation() -> None:
                     scene_id=instance.scene_id, instance_id=instance.instance_id, rank=1, slot=candidate.slot, asset_id=asset.asset_id,
                     score=float(np.clip(total * (1.0 - 0.6 * share), 0.0, 1.0)), chamfer_m=fitting.chamfer, coverage=fitting.coverage,
                     box_iou=overlap, foreign_share=share, color_similarity=color, pose=flat(stands),
-                    scale=tuple(float(v) for v in fit.scale), look=None, provider="geometric", provider_version="6",
+                    scale=tuple(float(v) for v in fit.scale), look=None, provider="geometric", provider_version="7",
                 )
             )  # fmt: skip
     ordered = {}
