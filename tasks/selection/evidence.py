@@ -48,6 +48,9 @@ Array = NDArray[np.float64]
 PICTURE_PIXELS = 224
 """Of the side of a cut-out crop: about what crops have, and what DINOv2 looks at."""
 
+PLAIN_KINDS = ("let_in", "covering")
+"""Mountings of what patterns say little of: windows show what lies behind them, and crops of rugs are tattered at the rim."""
+
 
 @dataclasses.dataclass(frozen=True)
 class InstanceQuery:
@@ -249,13 +252,13 @@ def evidence_of(
     f_scores = np.array([f_score(target, each.sample, each.fit, within, alignment) for each in measured])
     scores, foreign_shares = np.array([each.geometric for each in measured]), np.array([each.foreign for each in measured])
     scores = finest_first(scores, [each.asset.provider for each in measured], score.finest_margin)
-    # Windows are seen through: their colors are those of what lies behind.
-    is_opaque = mounting(query.category).kind != "let_in"
-    errors = (
-        np.array([color_error(query.points, query.colors, each.placed[0], each.sample.colors) for each in measured]) if is_opaque else None
-    )
-    own = [each.own for each in measured]
-    scores = whole_first(scores, f_scores, foreign_shares, own, score.whole_margin, errors, score.color_margin)
+    own, kind = [each.own for each in measured], mounting(query.category).kind
+    errors = None
+    if kind not in PLAIN_KINDS:
+        errors = np.array([color_error(query.points, query.colors, each.placed[0], each.sample.colors) for each in measured])
+    # Of what is let into a wall, strips are scanned, which a whole window cannot explain.
+    least = 0.0 if kind == "let_in" else score.whole_least
+    scores = whole_first(scores, f_scores, foreign_shares, own, score.whole_margin, errors, score.color_margin, least)
     if errors is not None:
         scores = pattern_first(scores, own, errors, score.whole_margin, score.color_margin)
     scores = recognized_first(scores, _recognized(query, measured, neighborhood, within, score, alignment), score.recognized_lead)

@@ -38,6 +38,7 @@ class ScoreConfig(Config):
     recognized_near: float = 0.5  # the same without frames, where unseen sides are not near points either
     recognized_color: float = 0.3  # likeness of colors up to light: shadows and few samples leave that much of small true models
     recognized_lead: float = 0.06  # by which a recognized model goes first: more than `look_loss`, and than a learned method chooses among
+    whole_least: float = 0.8  # F-score of a model that explains the scan: below, a box that fills a bend is as good as the sofa round it
     color_margin: float = 5.0  # in CIELAB, by which its colors may be farther off: plain ones differ by 6 to 20 from patterns, else by 2
     finest_margin: float = 0.03  # by which the pieces of a crop must fit better than the closed crop, which looks like the scan
     whole_margin: float = 0.05  # a whole model goes before the scan's own geometry where its F-score is no worse by more than this
@@ -81,7 +82,7 @@ WITHIN = 5.0 / 3.0
 
 def whole_first(
     scores: Array, f_scores: Array, foreign: Array, is_own: Sequence[bool], margin: float, color_errors: Array | None = None,
-    color_margin: float = np.inf,
+    color_margin: float = np.inf, least: float = 0.0,
 ) -> Array:  # fmt: skip
     """Scores, shape (k,), in which the scan's own geometry comes after a whole model that explains the scan as well.
 
@@ -95,12 +96,15 @@ def whole_first(
         margin: by which a model may be worse in F-score or foreign space.
         color_errors: distances of colors where surfaces meet points, shape (k,); without them, colors do not count.
         color_margin: by which a model may be worse in these: a plain curtain does not go before the pattern that was scanned.
+        least: F-score below which no model goes before own geometry.
     """
     ranked = scores.copy()
     models = ~np.asarray(is_own, dtype=np.bool_)
+    explains = f_scores >= least
     errors = np.zeros(len(scores)) if color_errors is None else color_errors
     for k in np.flatnonzero(~models):
-        is_as_good = models & (f_scores >= f_scores[k] - margin) & (foreign <= foreign[k] + margin) & (errors <= errors[k] + color_margin)
+        is_as_good = models & explains & (f_scores >= f_scores[k] - margin) & (foreign <= foreign[k] + margin)
+        is_as_good &= errors <= errors[k] + color_margin
         whole = scores[is_as_good]
         if len(whole):
             ranked[k] = min(scores[k], max(float(whole.max()) - LEAST_DIFFERENCE, 0.0))

@@ -81,6 +81,13 @@ def test_own_geometry_yields_to_equal_evidence_alone() -> None:
             assert ranked[0] == 0.95
 
 
+def test_a_model_that_explains_little_does_not_go_before_own_geometry() -> None:
+    """A box in the bend of a sofa of which a third was scanned: both explain two thirds."""
+    for f_scores, yields in (([0.72, 0.69], False), ([0.85, 0.82], True)):
+        ranked = whole_first(np.array([0.78, 0.75]), np.array(f_scores), np.zeros(2), [True, False], 0.05, least=0.8)
+        assert (ranked[0] < ranked[1]) == yields
+
+
 def test_a_plain_model_does_not_go_before_a_pattern() -> None:
     """Own geometry yields to a model of its shape only if that shows about the same colors; and it passes one that fits a little better."""
     scores, own, f_scores, foreign = np.array([0.92, 0.9]), [True, False], np.array([0.98, 0.98]), np.zeros(2)
