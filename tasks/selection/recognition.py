@@ -30,7 +30,7 @@ GAINS = tuple(float(gain) for gain in np.geomspace(0.7, 1.6, 9))
 
 
 @dataclasses.dataclass(frozen=True)
-class Likeness:
+class ModelLikeness:
     """How far a placed model is the scanned object, all 0 to 1.
 
     complete: share of the scanned points that its surface covers. consistent: share of the surface that could be seen and is near points,
@@ -55,8 +55,8 @@ def has_own_size(sample: Sample, fit: Fit) -> bool:
 
 def likeness_of(
     target: ScannedInstance, sample: Sample, fit: Fit, within: float, frame: Array, views: Sequence[DepthMap], alignment: AlignmentConfig
-) -> Likeness:
-    """Likeness of a placed model to a scanned instance.
+) -> ModelLikeness:
+    """ModelLikeness of a placed model to a scanned instance.
 
     Args:
         target: scanned instance.
@@ -74,11 +74,11 @@ def likeness_of(
     if views:
         is_far &= is_seen_empty(transform_points(placed, frame), views)
     consistent = 1.0 - float(is_far[could_be_seen].mean()) if could_be_seen.any() else 0.0
-    return Likeness(complete, consistent, lit_similarity(target.colors, sample.colors))
+    return ModelLikeness(complete, consistent, lit_similarity(target.colors, sample.colors))
 
 
 def lit_similarity(scanned: NDArray[np.uint8], model: NDArray[np.uint8]) -> float:
-    """Likeness of two sets of colors, 0 to 1, under the light that makes them most alike.
+    """ModelLikeness of two sets of colors, 0 to 1, under the light that makes them most alike.
 
     Args:
         scanned: colors of the scan, shape (n, 3), which its light has changed.
@@ -90,7 +90,7 @@ def lit_similarity(scanned: NDArray[np.uint8], model: NDArray[np.uint8]) -> floa
 
 
 def is_recognized(
-    likeness: Likeness, best_complete: float, foreign: float, least_foreign: float, config: ScoreConfig, is_seen: bool
+    likeness: ModelLikeness, best_complete: float, foreign: float, least_foreign: float, config: ScoreConfig, is_seen: bool
 ) -> bool:
     """True if a model in its own size is the scanned object.
 

@@ -13,7 +13,7 @@ from tasks.alignment import AlignmentConfig, Fit, align, make_target, sample_ass
 from tasks.geometry.meshes import canonical, dump_glb
 from tasks.geometry.transforms import matrix, yaw_pose
 from tasks.selection import ScoreConfig
-from tasks.selection.recognition import Likeness, has_own_size, is_recognized, lit_similarity, recognized_first
+from tasks.selection.recognition import ModelLikeness, has_own_size, is_recognized, lit_similarity, recognized_first
 from tests.tasks.selection.rooms import GRAY, WOOD, Room, cabinet, chair, part, scan
 
 CROP = "scan_crop_closed"
@@ -94,12 +94,12 @@ def test_light_does_not_change_what_a_color_is() -> None:
 
 
 def test_recognition_wants_points_space_and_color() -> None:
-    config, likeness = ScoreConfig(), Likeness(0.97, 0.95, 0.6)
+    config, likeness = ScoreConfig(), ModelLikeness(0.97, 0.95, 0.6)
     assert is_recognized(likeness, 1.0, 0.02, 0.0, config, True)
-    for worse in (Likeness(0.8, 0.95, 0.6), Likeness(0.97, 0.7, 0.6), Likeness(0.97, 0.95, 0.1)):
+    for worse in (ModelLikeness(0.8, 0.95, 0.6), ModelLikeness(0.97, 0.7, 0.6), ModelLikeness(0.97, 0.95, 0.1)):
         assert not is_recognized(worse, 1.0, 0.02, 0.0, config, True)
     assert not is_recognized(likeness, 1.0, 0.2, 0.0, config, True)
-    assert is_recognized(Likeness(0.97, 0.6, 0.6), 1.0, 0.0, 0.0, config, False), "without frames unseen sides say little"
+    assert is_recognized(ModelLikeness(0.97, 0.6, 0.6), 1.0, 0.0, 0.0, config, False), "without frames unseen sides say little"
 
 
 def test_the_strongest_goes_first_and_nothing_gains() -> None:
