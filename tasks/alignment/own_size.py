@@ -1,7 +1,7 @@
-"""Poses of models in their own size: no scale is fitted, and the height of what does not stand on the floor is free.
+"""Poses of assets in their own size: no scale is fitted, and the height of what does not stand on the floor is free.
 
-A model of a library has a size of its own. Where it is the scanned object, that size explains the points better than any that the scanned
-box asks for: boxes lack thin rods, and hold what bled from neighbors.
+Models of libraries have the size of what they depict, and crops that of the scan. It explains the points better than any size that the
+scanned box asks for: boxes lack thin rods, and hold what bled from neighbors.
 """
 
 from __future__ import annotations

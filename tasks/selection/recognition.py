@@ -56,7 +56,7 @@ def has_own_size(sample: Sample, fit: Fit) -> bool:
 def likeness_of(
     target: ScannedInstance, sample: Sample, fit: Fit, within: float, frame: Array, views: Sequence[DepthMap], alignment: AlignmentConfig
 ) -> ModelLikeness:
-    """ModelLikeness of a placed model to a scanned instance.
+    """Likeness of a placed model to a scanned instance.
 
     Args:
         target: scanned instance.
