@@ -62,20 +62,20 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
         tried.append(refine(rough, few, fits[i], config))
         if abs(tried[-1].yaw - fits[i].yaw) > config.rebox_yaw_radians:
             tried.append(refine(rough, few, _boxed(target, sample, [tried[-1].yaw], config)[0], config))
-    costs = [measure(rough, few, fit, threshold, config).cost for fit in tried]
-    slack = min(costs) * (1 + config.settle) + 1e-9
-    boxed = next(fit for fit, cost in zip(tried, costs, strict=True) if cost <= slack)
+    boxed_costs = [measure(rough, few, fit, threshold, config).cost for fit in tried]
+    slack = min(boxed_costs) * (1 + config.settle) + 1e-9
+    boxed = next(fit for fit, cost in zip(tried, boxed_costs, strict=True) if cost <= slack)
     # A scale that is fitted has three numbers more: it must explain the points clearly better than the model's own size.
     sized = _own_sized(target, rough, sample, few, yaws, config)
     fitting = [measure(rough, few, fit, threshold, config) for fit in sized]
-    own_costs = [each.cost for each in fitting]
-    least = min(own_costs)
+    sized_costs = [each.cost for each in fitting]
+    least = min(sized_costs)
     # Only a model that explains the points is given credit: of poor fits the better one is taken.
-    credit = config.own_size if fitting[own_costs.index(least)].scan <= threshold else 0.0
-    if least * (1 - credit) > min(costs):
+    credit = config.own_size if fitting[sized_costs.index(least)].scan <= threshold else 0.0
+    if least * (1 - credit) > min(boxed_costs):
         return boxed
     slack = least * (1 + config.settle) + 1e-9
-    return next(fit for fit, cost in zip(sized, own_costs, strict=True) if cost <= slack)
+    return next(fit for fit, cost in zip(sized, sized_costs, strict=True) if cost <= slack)
 
 
 def _own_sized(

@@ -252,15 +252,15 @@ def evidence_of(
     f_scores = np.array([f_score(target, each.sample, each.fit, within, alignment) for each in measured])
     scores, foreign_shares = np.array([each.geometric for each in measured]), np.array([each.foreign for each in measured])
     scores = finest_first(scores, [each.asset.provider for each in measured], score.finest_margin)
-    own, kind = [each.own for each in measured], mounting(query.category).kind
+    is_own, kind = [each.own for each in measured], mounting(query.category).kind
     errors = None
     if kind not in PLAIN_KINDS:
         errors = np.array([color_error(query.points, query.colors, each.placed[0], each.sample.colors) for each in measured])
     # Of what is let into a wall, strips are scanned, which a whole window cannot explain.
     least = 0.0 if kind == "let_in" else score.whole_least
-    scores = whole_first(scores, f_scores, foreign_shares, own, score.whole_margin, errors, score.color_margin, least)
+    scores = whole_first(scores, f_scores, foreign_shares, is_own, score.whole_margin, errors, score.color_margin, least)
     if errors is not None:
-        scores = pattern_first(scores, own, errors, score.whole_margin, score.color_margin)
+        scores = pattern_first(scores, is_own, errors, score.whole_margin, score.color_margin)
     scores = recognized_first(scores, _recognized(query, measured, neighborhood, within, score, alignment), score.recognized_lead)
     return [dataclasses.replace(each, geometric=float(value)) for each, value in zip(measured, scores, strict=True)]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,8 @@ def lamp() -> list[trimesh.Trimesh]:
 
 def dark(parts: list[trimesh.Trimesh], share: float) -> list[trimesh.Trimesh]:
     for mesh in parts:
-        mesh.visual.vertex_colors = (np.asarray(mesh.visual.vertex_colors) * [share, share, share, 1.0]).astype(np.uint8)
+        visual: Any = mesh.visual
+        visual.vertex_colors = (np.asarray(visual.vertex_colors) * [share, share, share, 1.0]).astype(np.uint8)
     return parts
 
 
@@ -65,8 +67,8 @@ def test_the_object_itself_goes_before_what_was_made_to_its_measure() -> None:
     rng, room = np.random.default_rng(3), Room()
     points, colors = scan(dark(cabinet(), 0.7), np.eye(4), (1, 1, 1), rng, view=0.0)
     instance = room.instance(points, colors, 0.0)
-    size = tuple(float(side) for side in instance.box_size)
-    copy = dark([part(size, (0, 0, size[2] / 2))], 0.7)
+    x, y, z = (float(side) for side in instance.box_size)
+    copy = dark([part((x, y, z), (0, 0, z / 2))], 0.7)
     room.candidate(instance, 1, room.asset(copy, "copy", "procedural"), "procedural")
     room.candidate(instance, 2, room.asset(cabinet(), "cabinet"))
     rows, _ = room.select()
@@ -89,7 +91,7 @@ def test_light_does_not_change_what_a_color_is() -> None:
     rng = np.random.default_rng(5)
     colors = rng.integers(60, 200, (500, 3)).astype(np.uint8)
     assert lit_similarity((colors * 0.75).astype(np.uint8), colors) > 0.85
-    red, blue = np.tile(np.uint8([200, 30, 30]), (100, 1)), np.tile(np.uint8([30, 30, 200]), (100, 1))
+    red, blue = np.full((100, 3), (200, 30, 30), dtype=np.uint8), np.full((100, 3), (30, 30, 200), dtype=np.uint8)
     assert lit_similarity(red, blue) < 0.1
 
 
