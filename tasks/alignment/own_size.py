@@ -1,6 +1,6 @@
-"""Poses of assets in their own size: no scale is fitted, and the height of what does not stand on the floor is free.
+"""Poses of models in their own size: no scale is fitted, and the height of what does not stand on the floor is free.
 
-Models of libraries have the size of what they depict, and crops that of the scan. It explains the points better than any size that the
+A model of a library has the size of what it depicts. Where it is the scanned object, that size explains the points better than any that the
 scanned box asks for: boxes lack thin rods, and hold what bled from neighbors.
 """
 

@@ -42,7 +42,7 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
 
     Every yaw of a full turn is tried with the scale that its box asks for; the best few are refined by nearest points.
     Of poses that fit alike, the one squared up with the box is taken, then the one with the smaller turn. What is square stays so.
-    An asset keeps its size unless a fitted scale explains the points clearly better.
+    A model with a size of its own keeps it unless a fitted scale explains the points clearly better.
     """
     if own.camera and target.sight is not None:
         target = dataclasses.replace(target, toward=target.sight.toward)
@@ -65,6 +65,8 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
     boxed_costs = [measure(rough, few, fit, threshold, config).cost for fit in tried]
     slack = min(boxed_costs) * (1 + config.settle) + 1e-9
     boxed = next(fit for fit, cost in zip(tried, boxed_costs, strict=True) if cost <= slack)
+    if not sample.has_own_size:
+        return boxed
     # A scale that is fitted has three numbers more: it must explain the points clearly better than the model's own size.
     sized = _own_sized(target, rough, sample, few, yaws, config)
     fitting = [measure(rough, few, fit, threshold, config) for fit in sized]
