@@ -38,6 +38,7 @@ class AlignmentConfig(Config):
     refine_points: Whole = 256  # for refining and comparing poses of one asset: errors of single nearest points average out
     refine_samples: Whole = 512  # of the surface, twice refine_points: the scan saw half of it or less
     settle: float = 0.01  # a refined pose must be better by this share than the pose squared up with the box
+    own_size: float = 0.2  # a model of a library that explains the points keeps its size unless a fitted scale costs less by this share
     hidden_weight: float = 0.1  # undersides are never seen; a little weight keeps a solid block from posing as a table
     hidden_normal: float = -0.5  # z of a normal that counts as an underside: steeper than 30 degrees below the horizon
     seen_share: float = 0.75  # one side against a wall is up to a quarter of the surface: the worst quarter does not count

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,7 +38,8 @@ def instance_frame(
     them and all of them, shape (n, 3) [m], with their colors (n, 3)."""
     box, size = grown_box(instance.box_pose, instance.box_size, instance.hidden_m)
     bottom, top = box[2, 3] - 0.5 * size[2], box[2, 3] + 0.5 * size[2]
-    if abs(bottom) <= floor_snap_m < top:
+    is_grounded = abs(bottom) <= floor_snap_m < top
+    if is_grounded:
         bottom = 0.0
     frame = yaw_pose(yaw_of(box), [box[0, 3], box[1, 3], bottom])
     points, colors = read_points(context.blobs[instance.points_blob], instance.points_blob)
@@ -48,7 +50,8 @@ def instance_frame(
         local, colors = local[within], colors[within]
     rng = context.rng("instance", instance.instance_id)
     is_let_in = mounting(instance.category).kind == "let_in"
-    return frame, make_target(local, colors, extent, config, rng, instance.hidden_m, is_let_in), local, colors
+    target = make_target(local, colors, extent, config, rng, instance.hidden_m, is_let_in)
+    return frame, dataclasses.replace(target, is_grounded=is_grounded), local, colors
 
 
 def covered_within(diagonal: float, usual_m: float = 0.03, share: float = 0.05, least_m: float = 0.01) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from tasks.alignment.distances import clamped, nearest_turn
 from tasks.alignment.measures import coarse_costs, measure
 from tasks.alignment.method import AlignmentMethod
+from tasks.alignment.own_size import own_size_starts, refine_height
 from tasks.alignment.samples import Fit, Sample, turned
 from tasks.alignment.targets import ScannedInstance
 from tasks.settings import Config
@@ -41,6 +42,7 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
 
     Every yaw of a full turn is tried with the scale that its box asks for; the best few are refined by nearest points.
     Of poses that fit alike, the one squared up with the box is taken, then the one with the smaller turn. What is square stays so.
+    A model with a size of its own keeps it unless a fitted scale explains the points clearly better.
     """
     if own.camera and target.sight is not None:
         target = dataclasses.replace(target, toward=target.sight.toward)
@@ -60,9 +62,35 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
         tried.append(refine(rough, few, fits[i], config))
         if abs(tried[-1].yaw - fits[i].yaw) > config.rebox_yaw_radians:
             tried.append(refine(rough, few, _boxed(target, sample, [tried[-1].yaw], config)[0], config))
-    measured = [measure(rough, few, fit, threshold, config).cost for fit in tried]
-    slack = min(measured) * (1 + config.settle) + 1e-9
-    return next(fit for fit, cost in zip(tried, measured, strict=True) if cost <= slack)
+    boxed_costs = [measure(rough, few, fit, threshold, config).cost for fit in tried]
+    slack = min(boxed_costs) * (1 + config.settle) + 1e-9
+    boxed = next(fit for fit, cost in zip(tried, boxed_costs, strict=True) if cost <= slack)
+    if not sample.has_own_size:
+        return boxed
+    # A scale that is fitted has three numbers more: it must explain the points clearly better than the model's own size.
+    sized = _own_sized(target, rough, sample, few, yaws, config)
+    fitting = [measure(rough, few, fit, threshold, config) for fit in sized]
+    sized_costs = [each.cost for each in fitting]
+    least = min(sized_costs)
+    # Only a model that explains the points is given credit: of poor fits the better one is taken.
+    credit = config.own_size if fitting[sized_costs.index(least)].scan <= threshold else 0.0
+    if least * (1 - credit) > min(boxed_costs):
+        return boxed
+    slack = least * (1 + config.settle) + 1e-9
+    return next(fit for fit, cost in zip(sized, sized_costs, strict=True) if cost <= slack)
+
+
+def _own_sized(
+    target: ScannedInstance, rough: ScannedInstance, sample: Sample, few: Sample, yaws: Array, config: AlignmentConfig
+) -> list[Fit]:
+    """Poses of a model in its own size, those that keep their height first. rough, few: a part of the points and of the samples."""
+    starts = own_size_starts(target, sample, yaws, config)
+    if target.is_square:
+        return starts
+    level = [refine(rough, few, fit, config) for fit in starts]
+    if target.is_grounded:
+        return level
+    return [*level, *(refine_height(rough, few, fit, config, refine) for fit in level)]
 
 
 def refine(target: ScannedInstance, sample: Sample, fit: Fit, config: AlignmentConfig) -> Fit:

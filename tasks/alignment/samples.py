@@ -31,7 +31,8 @@ class Fit:
 @dataclasses.dataclass(frozen=True)
 class Sample:
     """Evenly spread samples of a canonical asset's surface, in random order. `points`, `normals`, `colors`: shape
-    (m, 3); `extents`: of the asset's box [m]; `area`: of its surface [m2]; `surface`: its triangles, for methods that take them."""
+    (m, 3); `extents`: of the asset's box [m]; `area`: of its surface [m2]; `surface`: its triangles, for methods that take them;
+    `has_own_size`: whether its size is its own, and was not made to the measure of the instance."""
 
     points: Array
     normals: Array
@@ -39,6 +40,7 @@ class Sample:
     extents: Array
     area: float
     surface: Surface | None = None
+    has_own_size: bool = False
 
     def placed(self, fit: Fit) -> tuple[Array, Array, float]:
         """Points, unit normals and disc radius of the samples in the instance's frame [m]."""

@@ -53,7 +53,8 @@ class ScannedInstance:
     `spacing`: distance between neighboring points [m]; `resolution`: the same of all points that the scan has of it; `seen`: lowest
     and highest corner of the part of the box that the scan could see, shape (2, 3) [m]; `sight`: how its crop was taken, where that is
     known, for methods that look at it; `toward`: direction of the camera that alone counts as having seen it, shape (3,), if any;
-    `is_square`: whether the box says how it is turned and where it is, as a wall does of what is let into it. Known once they were asked
+    `is_square`: whether the box says how it is turned and where it is, as a wall does of what is let into it; `is_grounded`: whether it
+    stands on the floor, so that its height is known. Known once they were asked
     for: `spans`, its size and middle along the axes of an asset, by the asset's yaw; `parts`, the instance with fewer points, by how
     many."""
 
@@ -66,6 +67,7 @@ class ScannedInstance:
     sight: Viewpoint | None = None
     toward: Array | None = None
     is_square: bool = False
+    is_grounded: bool = False
     spans: dict[float, tuple[Array, Array]] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
     parts: dict[int, ScannedInstance] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 

@@ -12,6 +12,7 @@ from tasks.settings import Config, Whole
 
 if TYPE_CHECKING:
     from tasks.candidates.request import CandidateRequest
+    from tasks.furniture.halves import Half
 
 SQUARE = 1.15
 """A box whose horizontal sides differ by less than this ratio has no long side that could tell front from side."""
@@ -23,7 +24,7 @@ class Procedural(Config):
 
     kind: ClassVar[str] = "procedural"
     variant: Whole = 1  # others draw other styles (slats or panel, legs or pedestal)
-    version: str = "2"  # goes up when the same instance would get another model
+    version: str = "3"  # goes up when the same instance would get another model
 
 
 def procedural_asset(request: CandidateRequest, provider: Procedural) -> MadeAsset:
@@ -32,14 +33,17 @@ def procedural_asset(request: CandidateRequest, provider: Procedural) -> MadeAss
     Raises:
         NothingToOffer: the category has no template but one that is withheld.
     """
-    from tasks.furniture import generate
+    from tasks.furniture import canonical_category, generate
     from tasks.furniture.halves import TemplateWithheld
+    from tasks.furniture.storage import FRONTED
 
     category = generator_category(request.category)
     extents = fronted_extents(category, request.extents)
     rng = request.context.rng(provider.kind, request.instance.instance_id, provider.variant)
+    half: Half = "offered" if request.is_withholding else "all"
+    is_plain = canonical_category(category) in FRONTED and request.has_plain_front
     try:
-        model = generate(category, extents, rng, color=request.color, half="offered" if request.is_withholding else "all")
+        model = generate(category, extents, rng, color=request.color, half=half, has_plain_front=is_plain)
     except TemplateWithheld as problem:
         raise NothingToOffer(str(problem)) from problem
     return make_asset(

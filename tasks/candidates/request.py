@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
+from schemas.errors import InputError
 from tasks.alignment import AlignmentConfig, ScannedInstance, instance_frame
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.closing import SolidField, solid_field
 from tasks.candidates.completion import Unseen
 from tasks.candidates.provider import NothingToOffer, ProviderConfig
 from tasks.candidates.retrieval import Retrieval
-from tasks.candidates.scan_crop import crop_of, pieces_of_crop
+from tasks.candidates.scan_crop import BOX_FACES, crop_of, pieces_of_crop
 from tasks.captions.colors import name_colors, word_rgb
 from tasks.geometry.boxes import box_footprint, grown_box
 from tasks.geometry.meshes import Surface, read_points
@@ -30,6 +31,7 @@ from tasks.stage import Context
 from tasks.texturing.views import ColorView
 from tasks.views.crops import Crop
 from tasks.views.crops import crop_of as crop_of_view
+from tasks.views.fronts import has_lines
 from tasks.views.sightlines import FREE_DISTANCE_M, DepthMap, is_seen_empty
 
 if TYPE_CHECKING:
@@ -144,6 +146,22 @@ class CandidateRequest:
             r, g, b = (int(v) for v in names.rgb[names.words.index(word)])
             return r, g, b
         return word_rgb(word)
+
+    @cached_property
+    def has_plain_front(self) -> bool:
+        """True if the scan shows the instance's surface and no lines on its upright sides; a drawn box shows no surface."""
+        try:
+            if len(self.crop.faces) == BOX_FACES:
+                return False
+            points, colors = self.points
+        except (NothingToOffer, InputError, ValueError):
+            return False
+        try:
+            view = self.view
+        except InputError:
+            view = None
+        pose, size = grown_box(self.instance.box_pose, self.instance.box_size, self.instance.hidden_m)
+        return not has_lines(points, colors, size, pose, view)
 
     @cached_property
     def descriptor(self) -> Descriptor:

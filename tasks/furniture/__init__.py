@@ -67,12 +67,13 @@ def typical_extents(category: str) -> Extents:
 
 
 def generate(
-    category: str, extents: Extents | None, rng: np.random.Generator, color: Color | None = None, half: Half = "all"
-) -> FurnitureModel:
+    category: str, extents: Extents | None, rng: np.random.Generator, color: Color | None = None, half: Half = "all",
+    has_plain_front: bool = False,
+) -> FurnitureModel:  # fmt: skip
     """A model of a category whose bounds equal `extents` [m], shape (3,); usual ones, a little varied, when None.
 
     `color`: RGB 0..255 of its main surface; by chance when None. `half`: templates to draw from; an unknown category has a plain body
-    in either half.
+    in either half. `has_plain_front`: draws one panel instead of a front's drawers and doors.
 
     Raises:
         ValueError: an extent is not finite, or below a millimetre, or above 20 m.
@@ -90,7 +91,7 @@ def generate(
         fallback.draw(draft)
     else:
         for _ in range(MAX_DRAWINGS):
-            draft = Draft(category, REGISTRY[known].drawn_extents((x, y, z)), rng, color, half)
+            draft = Draft(category, REGISTRY[known].drawn_extents((x, y, z)), rng, color, half, has_plain_front)
             REGISTRY[known].draw(draft)
             if draft.has_variants or has_single_template(half, known):
                 break

@@ -47,13 +47,17 @@ class Draft:
     The drawn object should nearly fill these extents; `model` fits it exactly.
     """
 
-    def __init__(self, category: str, extents: Extents, rng: np.random.Generator, color: Color | None, half: Half = "all") -> None:
+    def __init__(
+        self, category: str, extents: Extents, rng: np.random.Generator, color: Color | None, half: Half = "all",
+        has_plain_front: bool = False,
+    ) -> None:  # fmt: skip
         self.category = category
         self.X, self.Y, self.Z = extents
         self.hx, self.hy = 0.5 * self.X, 0.5 * self.Y
         self.rng = rng
         self.variant = ""
         self.half: Half = half
+        self.has_plain_front = has_plain_front
         self.has_variants = False
         self._color = color
         self._solids: list[tuple[str, Color, Solid]] = []

@@ -11,6 +11,9 @@ from tasks.furniture.solids import band, bar, square, sweep, vessel
 BOARD_M = 0.022
 """Usual board of a shelf."""
 
+FRONTED = ("cabinet", "kitchen cabinet", "wardrobe", "dresser", "nightstand", "tv stand", "file cabinet")
+"""Categories whose fronts have drawers or doors."""
+
 
 def shelf_levels(extents: tuple[float, float, float]) -> list[float]:
     """Heights of the tops of the boards of a bookshelf or shelf with these extents [m], from the lowest, without the top."""
@@ -67,7 +70,10 @@ def _case(d: Draft, wood: Color, back: bool) -> None:
 
 
 def _fronts(d: Draft, body: Color, rows: int, columns: int, z: tuple[float, float], knob: str) -> None:
-    """Doors or drawers in a grid on the front of a body that ends 2 cm plus a handle before the front."""
+    """Doors or drawers in a grid on the front of a body that ends 2 cm plus a handle before the front; one panel of a plain front."""
+    if d.has_plain_front:
+        d.box("fronts", body, (d.hx - min(0.04, 0.1 * d.X), d.hx), (-d.hy, d.hy), z)
+        return
     face, grip = d.hx - min(0.04, 0.1 * d.X), min(0.02, 0.05 * d.X)
     metal = d.pick(METALS)
     high, wide = (z[1] - z[0]) / rows, d.Y / columns
@@ -187,6 +193,8 @@ def tv_stand(d: Draft) -> None:
         y0, y1 = sorted((s * d.hy, s * 0.5 * third))
         d.box("body", color, (-d.hx, face), (y0, y1), (low, d.Z - board))
         d.box("fronts", shade(color, 1.07), (face, d.hx - 0.015), (y0 + 0.004, y1 - 0.004), (low + 0.004, d.Z - board - 0.004))
+        if d.has_plain_front:
+            continue
         middle = 0.5 * (y0 + y1)
         d.box("handles", d.pick(METALS), (d.hx - 0.015, d.hx), (middle - 0.05, middle + 0.05), (d.Z - 0.09, d.Z - 0.08))
     for z in (low, 0.5 * (low + d.Z)):

@@ -18,6 +18,9 @@ LIGHTNESS_BINS, HUE_BINS = 4, 7
 HUE_REACH = 56.0
 """Furniture and walls lie within this a and b; more saturated colors count with the last bin."""
 
+COMPARED_POINTS = 1500
+"""Points that are compared with the surface next to them, one by one: 5 cm apart on a rug of 4 m2."""
+
 MAX_COLORS = 4000
 """Colors that a histogram is made of: every n-th beyond; shares settle to a percent long before."""
 
@@ -58,6 +61,26 @@ def _shared(position: Array, shape: NDArray[np.int64]) -> Array:
             part[bin_] += weight
         histogram += part
     return histogram
+
+
+def color_error(points: Array, colors: NDArray[np.uint8], placed: Array, shown: NDArray[np.uint8]) -> float:
+    """Mean distance in CIELAB of the colors of points and of the surface next to them, apart from light that changes all of them alike.
+
+    Unlike histograms, it tells a pattern from a plain color, and from another pattern.
+
+    Args:
+        points: scanned points [m], shape (n, 3).
+        colors: their colors, shape (n, 3).
+        placed: samples of a surface [m], shape (m, 3).
+        shown: their colors, shape (m, 3).
+    """
+    from scipy.spatial import cKDTree
+
+    stride = max(1, len(points) // COMPARED_POINTS)
+    nearest = cKDTree(placed).query(points[::stride])[1]
+    apart = lab(colors[::stride]) - lab(shown[nearest])
+    apart[:, 0] -= np.median(apart[:, 0])
+    return float(np.linalg.norm(apart, axis=1).mean())
 
 
 def color_similarity(first: Array, second: Array) -> float:

@@ -32,9 +32,11 @@ from tasks.alignment import (
 from tasks.alignment.measures import f_score
 from tasks.geometry.boxes import grown_box, oriented_iou
 from tasks.geometry.transforms import inverse, transform_points, translation, yaw_pose
-from tasks.selection.coloring import color_histogram, color_similarity
+from tasks.mounting import mounting
+from tasks.selection.coloring import color_error, color_histogram, color_similarity
 from tasks.selection.neighbors import Neighborhood, foreign_share
-from tasks.selection.scoring import WITHIN, ScoreConfig, is_own_geometry, score_of, whole_first
+from tasks.selection.recognition import has_own_size, is_recognized, likeness_of, recognized_first
+from tasks.selection.scoring import WITHIN, ScoreConfig, finest_first, is_own_geometry, pattern_first, score_of, whole_first
 from tasks.stage import Context
 from tasks.views.crops import Crop, crop_of, filling
 
@@ -45,6 +47,9 @@ Array = NDArray[np.float64]
 
 PICTURE_PIXELS = 224
 """Of the side of a cut-out crop: about what crops have, and what DINOv2 looks at."""
+
+PLAIN_KINDS = ("let_in", "covering")
+"""Mountings of what patterns say little of: windows show what lies behind them, and crops of rugs are tattered at the rim."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -246,8 +251,35 @@ def evidence_of(
     within = WITHIN * covered_within(target.diagonal, score.threshold_m, score.threshold_share, score.threshold_least_m)
     f_scores = np.array([f_score(target, each.sample, each.fit, within, alignment) for each in measured])
     scores, foreign_shares = np.array([each.geometric for each in measured]), np.array([each.foreign for each in measured])
-    scores = whole_first(scores, f_scores, foreign_shares, [each.own for each in measured], score.whole_margin)
+    scores = finest_first(scores, [each.asset.provider for each in measured], score.finest_margin)
+    is_own, kind = [each.own for each in measured], mounting(query.category).kind
+    errors = None
+    if kind not in PLAIN_KINDS:
+        errors = np.array([color_error(query.points, query.colors, each.placed[0], each.sample.colors) for each in measured])
+    # Of what is let into a wall, strips are scanned, which a whole window cannot explain.
+    least = 0.0 if kind == "let_in" else score.whole_least
+    scores = whole_first(scores, f_scores, foreign_shares, is_own, score.whole_margin, errors, score.color_margin, least)
+    if errors is not None:
+        scores = pattern_first(scores, is_own, errors, score.whole_margin, score.color_margin)
+    scores = recognized_first(scores, _recognized(query, measured, neighborhood, within, score, alignment), score.recognized_lead)
     return [dataclasses.replace(each, geometric=float(value)) for each, value in zip(measured, scores, strict=True)]
+
+
+def _recognized(
+    query: InstanceQuery, measured: Sequence[Evidence], neighborhood: Neighborhood, within: float, score: ScoreConfig,
+    alignment: AlignmentConfig,
+) -> list[float]:  # fmt: skip
+    """How sure it is that a candidate is the scanned object, 0 to 1; 0 of what is not recognized."""
+    target, views = query.target, neighborhood.views
+    sized = [has_own_size(each.sample, each.fit) for each in measured]
+    if not any(sized):
+        return [0.0] * len(measured)
+    likenesses = [likeness_of(target, each.sample, each.fit, within, query.frame, views, alignment) for each in measured]
+    best, least = max(each.complete for each in likenesses), min(each.foreign for each in measured)
+    return [
+        likeness.strength if is_sized and is_recognized(likeness, best, each.foreign, least, score, bool(views)) else 0.0
+        for is_sized, likeness, each in zip(sized, likenesses, measured, strict=True)
+    ]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -26,4 +26,4 @@ def score(query: InstanceQuery, candidates: Sequence[Evidence], config: Geometri
     return np.array([each.geometric for each in candidates])
 
 
-GEOMETRIC = SelectionMethod(name="geometric", config=Geometric, version="6", score=score, is_geometric=lambda config: True)
+GEOMETRIC = SelectionMethod(name="geometric", config=Geometric, version="7", score=score, is_geometric=lambda config: True)

@@ -14,7 +14,8 @@ from tasks.alignment.measures import f_score
 from tasks.alignment.targets import make_target
 from tasks.geometry.transforms import flat, look_at, yaw_pose
 from tasks.selection import ScoreConfig
-from tasks.selection.scoring import whole_first
+from tasks.selection.coloring import color_error
+from tasks.selection.scoring import finest_first, pattern_first, whole_first
 from tasks.views.sightlines import box_cells, depth_views, is_seen_empty
 from tests.tasks.selection.rooms import WOOD, Room, cabinet, chair, part, scan, shelf
 
@@ -61,7 +62,7 @@ def test_the_true_model_goes_before_the_crop_of_its_scan() -> None:
     assert rows[0].score >= rows[1].score
 
 
-@pytest.mark.parametrize("names", [("library", "library"), ("procedural", "shap_e"), ("library", CROP)])
+@pytest.mark.parametrize("names", [("parametric", "procedural"), ("procedural", "shap_e"), ("shap_e", CROP)])
 def test_scores_are_the_same_whoever_offers_what_fits_better(names: tuple[str, str]) -> None:
     """Of a crop that wins, under any names: the numbers of both are those under their own names."""
     crop = noisy(u_sofa(), np.random.default_rng(1))
@@ -78,6 +79,44 @@ def test_own_geometry_yields_to_equal_evidence_alone() -> None:
         assert ranked[1] == 0.8
         if not yields:
             assert ranked[0] == 0.95
+
+
+def test_a_model_that_explains_little_does_not_go_before_own_geometry() -> None:
+    """A box in the bend of a sofa of which a third was scanned: both explain two thirds."""
+    for f_scores, yields in (([0.72, 0.69], False), ([0.85, 0.82], True)):
+        ranked = whole_first(np.array([0.78, 0.75]), np.array(f_scores), np.zeros(2), [True, False], 0.05, least=0.8)
+        assert (ranked[0] < ranked[1]) == yields
+
+
+def test_a_plain_model_does_not_go_before_a_pattern() -> None:
+    """Own geometry yields to a model of its shape only if that shows about the same colors; and it passes one that fits a little better."""
+    scores, own, f_scores, foreign = np.array([0.92, 0.9]), [True, False], np.array([0.98, 0.98]), np.zeros(2)
+    for errors, yields in (([2.0, 4.0], True), ([2.0, 12.0], False)):
+        ranked = whole_first(scores, f_scores, foreign, own, 0.05, np.array(errors), 5.0)
+        assert (ranked[0] < ranked[1]) == yields
+    for model, error, passes in ((0.94, 12.0, True), (0.94, 4.0, False), (0.99, 12.0, False)):
+        ranked = pattern_first(np.array([0.92, model]), own, np.array([2.0, error]), 0.05, 5.0)
+        assert (ranked[0] > ranked[1]) == passes
+
+
+def test_color_errors_tell_stripes_from_plain_and_from_other_stripes_in_any_light() -> None:
+    rng = np.random.default_rng(7)
+    points = rng.uniform(0, 1, (2000, 3)) * [2.0, 0.02, 2.0]
+    stripes = np.where((points[:, :1] * 5).astype(int) % 2 == 0, [[180, 60, 50]], [[220, 210, 190]]).astype(np.uint8)
+    shifted = points + np.array([0.2, 0.0, 0.0])
+    plain = np.tile(stripes.mean(axis=0), (len(points), 1)).astype(np.uint8)
+    itself = color_error(points, (stripes * 0.9).astype(np.uint8), points, stripes)
+    assert itself < 5.0
+    assert color_error(points, stripes, points, plain) > itself + 5.0
+    assert color_error(points, stripes, shifted, stripes) > itself + 5.0
+
+
+def test_the_closed_crop_goes_before_its_pieces_unless_they_fit_clearly_better() -> None:
+    providers = ["scan_crop_closed", "scan_crop_pieces", "procedural"]
+    ranked = finest_first(np.array([0.9, 0.92, 0.91]), providers, 0.03)
+    assert ranked[1] < ranked[0] < ranked[2]
+    assert finest_first(np.array([0.8, 0.92, 0.91]), providers, 0.03).tolist() == [0.8, 0.92, 0.91]
+    assert finest_first(np.array([0.92, 0.91]), providers[1:], 0.03).tolist() == [0.92, 0.91]
 
 
 def test_f_scores_tell_a_template_from_the_object() -> None:

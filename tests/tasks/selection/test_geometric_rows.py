@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections import defaultdict
 
@@ -53,7 +54,8 @@ def test_rows_are_those_of_a_second_computation() -> None:
     for instance in room.instances:
         box, size = matrix(instance.box_pose), np.array(instance.box_size)
         bottom, top = box[2, 3] - 0.5 * size[2], box[2, 3] + 0.5 * size[2]
-        bottom = 0.0 if abs(bottom) <= 0.05 < top else bottom
+        is_grounded = abs(bottom) <= 0.05 < top
+        bottom = 0.0 if is_grounded else bottom
         frame = yaw_pose(yaw_of(box), [box[0, 3], box[1, 3], bottom])
         points, colors = read_points(room.blobs[instance.points_blob])
         local = transform_points(points, inverse(frame))
@@ -61,6 +63,7 @@ def test_rows_are_those_of_a_second_computation() -> None:
         inside = (np.abs(local - [0.0, 0.0, 0.5 * extent[2]]) <= 0.5 * extent + 0.05).all(axis=1)
         assert inside.mean() > 0.3
         target = make_target(local[inside], colors[inside], extent, config.alignment, context.rng("instance", instance.instance_id))
+        target = dataclasses.replace(target, is_grounded=is_grounded)
         long = float(np.linalg.norm(target.size))
         reach = np.array([0.5 * long, 0.5 * long, 0.0])
         foreign = nearby.within(instance.instance_id, frame[:3, 3] - reach, frame[:3, 3] + reach + [0.0, 0.0, target.size[2]])
@@ -88,7 +91,7 @@ def test_rows_are_those_of_a_second_computation() -> None:
                     scene_id=instance.scene_id, instance_id=instance.instance_id, rank=1, slot=candidate.slot, asset_id=asset.asset_id,
                     score=float(np.clip(total * (1.0 - 0.6 * share), 0.0, 1.0)), chamfer_m=fitting.chamfer, coverage=fitting.coverage,
                     box_iou=overlap, foreign_share=share, color_similarity=color, pose=flat(stands),
-                    scale=tuple(float(v) for v in fit.scale), look=None, provider="geometric", provider_version="6",
+                    scale=tuple(float(v) for v in fit.scale), look=None, provider="geometric", provider_version="7",
                 )
             )  # fmt: skip
     ordered = {}
