@@ -98,7 +98,7 @@ class Support:
     )
     is_kept: bool = column("The same object still carries it after the optimization")
     is_inferred: bool = column(
-        "The scan does not show what it stands on: a thin board or plate below it is in colliders alone (placements.collider_blob)",
+        "The scan does not show what it stands on: a board, plate or base below it is in colliders alone (placements.collider_blob)",
         earlier=False,
     )
 

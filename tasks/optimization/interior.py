@@ -14,6 +14,7 @@ from schemas.errors import InputError
 from tasks.geometry.meshes import asset_surface, load_glb
 from tasks.geometry.pieces import PieceConfig, Uncut, asset_pieces, cut_ahead
 from tasks.geometry.transforms import inverse, is_rigid
+from tasks.optimization.colliders.bases import with_bases
 from tasks.optimization.proposals import Proposal
 from tasks.optimization.solids import ConvexParts, shell_solids
 from tasks.optimization.support.boards import board, board_bearers
@@ -69,7 +70,8 @@ def furnish(
 ) -> tuple[Interior, list[str]]:  # fmt: skip
     """The proposed assets in their room, and what had to be left out of it, a line each.
 
-    infers_boards: what nothing carries within a piece of furniture gets a board there, in the collider of that.
+    infers_boards: what nothing carries within a piece of furniture gets a board there, in the collider of that; colliders of what stands
+    reach down to what carries it.
     """
     notes: list[str] = []
     placed: list[tuple[PlacedAsset, Proposal, ConvexParts]] = []
@@ -93,6 +95,10 @@ def furnish(
     carriers = find_carriers([obj for obj, _, _ in placed], room, supports)
     if infers_boards:
         placed, carriers = _with_boards(placed, carriers)
+        objects, solids = [obj for obj, _, _ in placed], [solid for _, _, solid in placed]
+        poses = [proposal.pose for _, proposal, _ in placed]
+        objects, solids, carriers = with_bases(objects, solids, poses, carriers, room, supports)
+        placed = list(zip(objects, [proposal for _, proposal, _ in placed], solids, strict=True))
     order = _carriers_first([obj.instance_id for obj, _, _ in placed], carriers)
     kept = [placed[i] for i in order]
     index = {obj.instance_id: i for i, (obj, _, _) in enumerate(kept)}

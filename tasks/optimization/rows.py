@@ -203,11 +203,18 @@ def remains_of(
 
 
 def set_down(interior: Interior, config: SupportConfig) -> list[str]:
-    """Objects that nothing carried within reach and that were set down onto what lies below them, a line each."""
+    """Objects that nothing carried within reach and that were set down onto what lies below them, or whose colliders reach down to that, a
+    line each."""
     notes = []
-    for name, carrier in zip(interior.names, interior.carriers, strict=True):
-        if carrier.relation in ("floor", "on", "inside") and carrier.gap > config.reach_m:
-            notes.append(f"{name}: nothing carried it; it was set down {carrier.gap:.2f} m onto {carrier.parent_id or 'the floor'}")
+    for name, carrier, solid in zip(interior.names, interior.carriers, interior.solids, strict=True):
+        if carrier.relation not in ("floor", "on", "inside"):
+            continue
+        onto = carrier.parent_id or "the floor"
+        below = -min((float(hull.vertices[:, 2].min()) for hull in solid.hulls), default=0.0)
+        if carrier.gap > config.reach_m:
+            notes.append(f"{name}: nothing carried it; it was set down {carrier.gap:.2f} m onto {onto}")
+        elif carrier.is_inferred and below > config.reach_m:
+            notes.append(f"{name}: nothing carried it; its collider reaches {below:.2f} m down to {onto}")
     return sorted(notes)
 
 

@@ -16,6 +16,7 @@ from tasks.mounting import mounting
 from tasks.optimization.support.enclosures import encloses
 from tasks.optimization.support.fastening import built_in, is_fixed, is_worktop
 from tasks.optimization.support.heights import face_blocks, plan_view, underside
+from tasks.optimization.support.leaning import is_leaning
 from tasks.optimization.support.standing import MOST_CELLS, kept_cells, standing_map
 from tasks.optimization.support.walls import WallFace, stands_against, wall_contact, wall_faces
 from tasks.settings import Config, NonNegative, Positive, Share
@@ -114,7 +115,7 @@ class PlacedAsset:
 class Carrier:
     """What carries an object. `gap` [m]: height of its bottom above that, both as proposed. `lift` [m]: how far it is
     moved up to rest, its carrier's own lift included. `against`: part of the room's shell that it hangs on or stands
-    against. `is_fixed`: fastened to the room. `is_inferred`: a board that was not seen carries it, or it stands on a plate."""
+    against. `is_fixed`: fastened to the room. `is_inferred`: a board, plate or base that was not seen is below it."""
 
     relation: str
     parent_id: str | None
@@ -237,6 +238,10 @@ def _carrier(
         if kind == "wall" and float(obj.high[2]) > config.rail_m:
             return ceiling
     rest = _rest_within(obj, order, rests, config)
+    if contact is not None and kind not in ("let_in", "wall", "ceiling") and is_leaning(obj, contact.face):
+        foot = rest or _rest_off(obj, order, rests, config.most_drop_m, config)
+        if foot is not None:
+            return Carrier("floor" if foot.parent is None else "on", foot.parent, foot.gap, -foot.gap, contact.face.name)
     if kind == "frame" and wall is not None:
         small = float((obj.high - obj.low).max()) <= config.desk_frame_m
         if rest is None or abs(rest.gap) > (config.reach_m if small else config.hung_gap_m):
