@@ -11,6 +11,7 @@ from schemas.optimization import Contact, Optimization, Placement, Support
 from tasks.geometry.boxes import aabb_overlaps
 from tasks.geometry.transforms import flat
 from tasks.optimization.certificates import Certified
+from tasks.optimization.colliders.brackets import BRACKET
 from tasks.optimization.contacts import Penetration
 from tasks.optimization.interior import Interior
 from tasks.optimization.search.collisions import plan_ring
@@ -76,6 +77,7 @@ def placement_rows(
 def support_rows(scene_id: str, interior: Interior, lost: Collection[str], proposed: Mapping[str, Carrier]) -> list[Support]:
     """What carries each object, by instance. `lost`: the objects that it carries no more at the optimized poses. proposed: what carried
     each before its collider was cut, by instance: how deep it sank."""
+    brackets = {bracket.name.removeprefix(BRACKET): bracket.blob for bracket in interior.brackets}
     rows = [
         Support(
             scene_id=scene_id,
@@ -87,6 +89,7 @@ def support_rows(scene_id: str, interior: Interior, lost: Collection[str], propo
             is_fixed=fixed,
             is_kept=name not in lost,
             is_inferred=carrier.is_inferred,
+            bracket_blob=brackets.get(name),
         )
         for name, carrier, fixed in zip(interior.names, interior.carriers, interior.fixed.tolist(), strict=True)
     ]
@@ -165,7 +168,7 @@ def remains_of(
     for i, (name, carrier) in enumerate(zip(interior.names, interior.carriers, strict=True)):
         if interior.proposals[i].pose[2, 2] < UPSIDE_DOWN:
             lines[name].append("it stands upside down, as it was proposed")
-        if carrier.relation == "none":
+        if carrier.relation == "none" and not carrier.is_inferred:
             held = ", held there: nobody knows by what" if name in fixed else ""
             lines[name].append(f"nothing carries it; it hangs {carrier.gap:.2f} m above the floor{held}")
     for penetration in sorted(after, key=lambda p: -p.depth_m):
@@ -207,6 +210,8 @@ def set_down(interior: Interior, config: SupportConfig) -> list[str]:
     line each."""
     notes = []
     for name, carrier, solid in zip(interior.names, interior.carriers, interior.solids, strict=True):
+        if carrier.relation == "none" and carrier.is_inferred:
+            notes.append(f"{name}: nothing carried it; a bracket at {carrier.against}, in colliders alone, does")
         if carrier.relation not in ("floor", "on", "inside"):
             continue
         onto = carrier.parent_id or "the floor"

@@ -32,9 +32,6 @@ HIGH_M = 0.03
 SLICE_M = 0.05
 """Height of the lowest part of what leans, which goes on downwards in line with it [m]."""
 
-UNSEEN = 1.25
-"""Of the height of what was seen of a leaning object: more of it was not hidden below that."""
-
 FOOT_M = 0.01
 """The part of a base that is this near to the carrier [m] is what the object stands on."""
 
@@ -91,8 +88,7 @@ def with_bases(
         if is_loose:
             on = [k for k, obj in enumerate(objects) if k != i and not _rests_on(obj.instance_id, name, below)]
             parent, level = _rest_below(standing, placed, on)
-            most = config.stand_drop_m if standing.up is None else min(config.stand_drop_m, UNSEEN * standing.height)
-            if standing.low - level > most:
+            if standing.low - level > config.stand_drop_m:
                 continue
         base = _base(standing, placed, i, parent, level)
         if not base:

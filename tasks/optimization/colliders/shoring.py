@@ -15,15 +15,12 @@ from numpy.typing import NDArray
 from tasks.geometry.hulls import Hull
 from tasks.geometry.transforms import inverse
 from tasks.optimization.colliders.cutting import beyond, prism
-from tasks.optimization.colliders.undersides import DOWN, LOWER_SHARE, apart_from, base_ring, holds
+from tasks.optimization.colliders.undersides import DOWN, LOWER_SHARE, PLATE_M, apart_from, base_ring, holds
 from tasks.optimization.interior import Interior
 from tasks.optimization.solids import ConvexParts, mass_properties_of
 from tasks.optimization.support.boards import BOARD_M
 
 Array = NDArray[np.float64]
-
-PLATE_M = 0.006
-"""Thickness of a plate under an object [m]."""
 
 
 def with_plates(interior: Interior, poses: Array, wanted: Collection[int], clear: float) -> tuple[Interior, frozenset[int]]:

@@ -20,6 +20,9 @@ LOWER_SHARE = 0.33
 LEAST_MARGIN_M = 0.01
 """The center of mass lies so far within a plate [m], if the object is wide enough: less, and a nudge throws it over."""
 
+PLATE_M = 0.006
+"""Thickness of a plate under an object [m]."""
+
 
 def base_ring(points: Array, center: Array) -> Array | None:
     """Corners of the base of an object in plan, shape (n, 2) [m]: the convex hull of points of its lower part, shape (k, 2), and of what is

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 LEAST_LEAN_RADIANS = 0.07
 """4 degrees [rad]: the plane of a picture that hangs is scanned within 2."""
 
+HIGH_LEAN_RADIANS, LOW_M = 0.1, 0.35
+"""The same where the lowest part that was seen is higher than this above the floor [rad, m]."""
+
 MOST_LEAN_RADIANS = 0.5
 """29 degrees [rad]: what leans by more slides down, or lies."""
 
@@ -26,8 +29,11 @@ FLAT = 0.5
 """The spread of a flat thing across its plane is at most so much of the smaller one within it, and that of a long thing across its axis
 of the one along it."""
 
-TOWARDS = 0.7
-"""Cosine of the greatest angle between the way in which something leans and the way to the wall: 45 degrees."""
+TOWARDS = 0.5
+"""Cosine of the greatest angle between the way in which something leans and the way to the wall: 60 degrees, more than in a corner."""
+
+LEAST_POINTS = 12
+"""Fewer points do not say how something leans."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,14 +45,19 @@ class Lean:
 
 
 def lean_of(obj: PlacedAsset) -> Lean | None:
-    """How a flat or long object leans, by the area of its surface; None where it is neither, or lies."""
+    """How the asset of an object leans, by the area of its surface; None where it is neither flat nor long, or lies."""
     corners = obj.surface.vertices[obj.surface.faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    if not area.sum() > 0.0:
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return lean_of_points(corners.mean(axis=1), areas)
+
+
+def lean_of_points(points: Array, weights: Array) -> Lean | None:
+    """How something flat or long leans of which there are points, shape (n, 3) [m], with weights, shape (n,); None where it is neither, or
+    lies."""
+    if len(points) < LEAST_POINTS or not weights.sum() > 0.0:
         return None
-    points = corners.mean(axis=1)
-    away = points - np.average(points, axis=0, weights=area)
-    values, axes = np.linalg.eigh((away * area[:, None]).T @ away / area.sum())
+    away = points - np.average(points, axis=0, weights=weights)
+    values, axes = np.linalg.eigh((away * weights[:, None]).T @ away / weights.sum())
     spread = np.sqrt(np.maximum(values, 0.0))
     if spread[0] <= FLAT * spread[1]:
         normal = axes[:, 0]
@@ -63,8 +74,10 @@ def lean_of(obj: PlacedAsset) -> Lean | None:
 
 
 def is_leaning(obj: PlacedAsset, face: WallFace) -> bool:
-    """True if an object leans towards a wall, as what is put on the floor does and what hangs does not."""
-    lean = lean_of(obj)
-    if lean is None or not LEAST_LEAN_RADIANS <= lean.radians <= MOST_LEAN_RADIANS:
+    """True if an object leans towards a wall, as what is put on the floor does and what hangs does not: as it was scanned, or, where it has
+    no points, as its asset does."""
+    lean = obj.lean if obj.is_scanned else lean_of(obj)
+    least = LEAST_LEAN_RADIANS if obj.low[2] <= LOW_M else HIGH_LEAN_RADIANS
+    if lean is None or not least <= lean.radians <= MOST_LEAN_RADIANS:
         return False
     return float(lean.up[:2] @ face.inward) <= -TOWARDS * math.sin(lean.radians)

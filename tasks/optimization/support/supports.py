@@ -16,7 +16,7 @@ from tasks.mounting import mounting
 from tasks.optimization.support.enclosures import encloses
 from tasks.optimization.support.fastening import built_in, is_fixed, is_worktop
 from tasks.optimization.support.heights import face_blocks, plan_view, underside
-from tasks.optimization.support.leaning import is_leaning
+from tasks.optimization.support.leaning import Lean, is_leaning
 from tasks.optimization.support.standing import MOST_CELLS, kept_cells, standing_map
 from tasks.optimization.support.walls import WallFace, stands_against, wall_contact, wall_faces
 from tasks.settings import Config, NonNegative, Positive, Share
@@ -56,7 +56,8 @@ class SupportConfig(Config):
 @dataclasses.dataclass(frozen=True)
 class PlacedAsset:
     """An asset in the world frame as proposed. `low`, `high`: its axis-aligned box [m], shape (3,). `closed`: its faces
-    bound a solid and look outward, so that only those that look up carry."""
+    bound a solid and look outward, so that only those that look up carry. `is_scanned`: the scan has points of it; `lean`: how these
+    lean, if they do."""
 
     instance_id: str
     category: str
@@ -64,6 +65,8 @@ class PlacedAsset:
     low: Array
     high: Array
     closed: bool
+    is_scanned: bool = False
+    lean: Lean | None = None
 
     @staticmethod
     def of(instance_id: str, category: str, surface: Surface, watertight: bool) -> PlacedAsset:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tasks.geometry.pieces import read_pieces
 from tasks.geometry.transforms import translation, yaw_pose
 from tasks.optimization.colliders.undersides import base_ring, holds
 from tests.tasks.optimization.scenes import SHELF, TABLE, Scene, block, collider_bounds, poses_of, remains, solid
@@ -95,3 +96,30 @@ def test_the_base_of_what_was_scanned_at_rest_is_below_its_center_of_mass() -> N
     assert inner is not None
     assert sorted(map(tuple, inner.tolist())) == sorted(map(tuple, foot.tolist()))
     assert base_ring(np.zeros((0, 2)), np.zeros(2)) is None
+
+
+@pytest.mark.parametrize("category", ["vase", "thing"])
+def test_what_stood_on_a_shelf_that_no_scan_shows_stands_on_a_bracket_at_its_wall(category: str) -> None:
+    scene = Scene()
+    vase = scene.add(block(0.12, 0.2, 0.3), translation([-1.8, 0.3, 1.4]), category)
+    outcome = scene.run()
+    support = next(row for row in outcome.rows["supports"] if row.instance_id == vase)
+    assert (support.relation, support.is_fixed, support.is_inferred) == ("none", False, True)
+    assert support.against is not None
+    assert support.bracket_blob is not None
+    (board,) = read_pieces(outcome.blobs[support.bracket_blob], "bracket")
+    assert board.vertices[:, 2].max() == pytest.approx(1.4, abs=1e-4)
+    assert np.ptp(board.vertices[:, 2]) == pytest.approx(0.02, abs=1e-4)
+    assert board.vertices[:, 0].min() == pytest.approx(-2.0, abs=0.002), "it begins at the wall"
+    assert remains(outcome)[vase] is None
+    assert poses_of(outcome)[vase] == pytest.approx(poses_of(outcome, "proposed")[vase], abs=1e-6)
+    assert all(row.is_stable_nudged and not row.is_fixed for row in outcome.rows["certificates"])
+
+
+def test_what_hangs_in_the_middle_of_a_room_gets_no_bracket() -> None:
+    scene = Scene()
+    vase = scene.add(block(0.12, 0.2, 0.3), translation([0.0, 0.3, 1.6]), "vase")
+    outcome = scene.run()
+    support = next(row for row in outcome.rows["supports"] if row.instance_id == vase)
+    assert (support.is_inferred, support.bracket_blob) == (False, None)
+    assert remains(outcome)[vase] is not None
