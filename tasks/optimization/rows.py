@@ -139,13 +139,14 @@ def contact_rows(
 def allowed_depths(interior: Interior, before: Sequence[Penetration]) -> dict[tuple[str, str], float]:
     """How deep fixed objects, which hang or are built in, were in parts of the room as proposed [m], by (object, part).
 
-    So deep they may stay: they are let into a wall or set against it, and the room's shell is only an estimate. Two of them may be in
-    each other: neither ever moves.
+    So deep they may stay: they are let into a wall or set against it, and the room's shell is only an estimate. Two of them, or one of them
+    and a bracket, may be in each other: neither ever moves.
     """
     known = set(interior.names)
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     let_in = {(p.a, p.b): p.depth_m for p in before if p.a in fixed and p.b not in known}
-    return let_in | {(a, b): np.inf for a in fixed for b in fixed if a != b}
+    unmoved = fixed | {bracket.name for bracket in interior.brackets}
+    return let_in | {(a, b): np.inf for a in fixed for b in unmoved if a != b}
 
 
 def remains_of(

@@ -75,7 +75,9 @@ def lean_of_points(points: Array, weights: Array) -> Lean | None:
 
 def is_leaning(obj: PlacedAsset, face: WallFace) -> bool:
     """True if an object leans towards a wall, as what is put on the floor does and what hangs does not: as it was scanned, or, where it has
-    no points, as its asset does."""
+    no points, as its asset does. What lies behind the wall does not lean at it: there the room's outline is wrong."""
+    if float((0.5 * (obj.low + obj.high)[:2] - face.start) @ face.inward) < 0.0:
+        return False
     lean = obj.lean if obj.is_scanned else lean_of(obj)
     least = LEAST_LEAN_RADIANS if obj.low[2] <= LOW_M else HIGH_LEAN_RADIANS
     if lean is None or not least <= lean.radians <= MOST_LEAN_RADIANS:
