@@ -123,3 +123,15 @@ def test_what_hangs_in_the_middle_of_a_room_gets_no_bracket() -> None:
     support = next(row for row in outcome.rows["supports"] if row.instance_id == vase)
     assert (support.is_inferred, support.bracket_blob) == (False, None)
     assert remains(outcome)[vase] is not None
+
+
+@pytest.mark.parametrize(("height", "is_free"), [(1.41, True), (1.6, False)])
+def test_what_touches_a_wall_beside_a_bracket_at_its_level_stands_as_well(height: float, is_free: bool) -> None:
+    """A spice rack hangs as often as it stands; beside a vase that stood on a shelf, at its level, it stood there too."""
+    scene = Scene()
+    scene.add(block(0.12, 0.2, 0.3), translation([-1.8, 0.3, 1.4]), "vase")
+    rack = scene.add(block(0.12, 0.3, 0.2), translation([-1.935, 0.75, height]), "spice rack")
+    outcome = scene.run()
+    support = next(row for row in outcome.rows["supports"] if row.instance_id == rack)
+    assert (support.is_fixed, support.bracket_blob is not None) == (not is_free, is_free)
+    assert set(remains(outcome).values()) == {None}
