@@ -29,6 +29,10 @@ Array = NDArray[np.float64]
 HIGH_M = 0.03
 """Objects that are less high above their carrier [m] are let down: the F-score at 5 cm does not change."""
 
+MOST_TOP_M, TOP_SHARE = 1.2, 0.34
+"""Furniture of which so small a share of the height above the floor was seen, and that ends no higher than this [m], does not hang:
+cabinets on walls are seen from below as well."""
+
 SLICE_M = 0.05
 """Height of the lowest part of what leans, which goes on downwards in line with it [m]."""
 
@@ -77,7 +81,8 @@ def with_bases(
         is_high = carrier.relation in ("floor", "on", "inside") and carrier.gap > HIGH_M
         may_stand = mounting(objects[i].category).kind not in ("wall", "ceiling", "let_in", "covering")
         face = faces.get(carrier.against or "") if carrier.relation == "wall" else None
-        is_loose = may_stand and (carrier.relation == "none" or (face is not None and is_leaning(objects[i], face)))
+        stands_at_wall = face is not None and (is_leaning(objects[i], face) or _is_top_of_furniture(objects[i]))
+        is_loose = may_stand and (carrier.relation == "none" or stands_at_wall)
         if not (is_high or is_loose) or (carrier.is_fixed and is_high) or is_covering(objects[i], config):
             continue
         standing = _standing(objects[i], placed[i], solids[i], poses[i], carrier)
@@ -107,6 +112,14 @@ def with_bases(
         return own[name] + (lift(above) if above is not None else 0.0)
 
     return objects, solids, {name: dataclasses.replace(carrier, lift=lift(name)) for name, carrier in carriers.items()}
+
+
+def _is_top_of_furniture(obj: PlacedAsset) -> bool:
+    """True if an object is low furniture that stands on its body or legs, of which the upper part alone was seen."""
+    kind = mounting(obj.category)
+    if kind.base is None or kind.is_fitted or kind.is_built_in or float(obj.high[2]) > MOST_TOP_M:
+        return False
+    return obj.height <= TOP_SHARE * float(obj.high[2])
 
 
 def _standing(obj: PlacedAsset, hulls: Sequence[Hull], solid: ConvexParts, pose: Array, carrier: Carrier) -> _Standing | None:

@@ -135,3 +135,14 @@ def test_what_touches_a_wall_beside_a_bracket_at_its_level_stands_as_well(height
     support = next(row for row in outcome.rows["supports"] if row.instance_id == rack)
     assert (support.is_fixed, support.bracket_blob is not None) == (not is_free, is_free)
     assert set(remains(outcome).values()) == {None}
+
+
+@pytest.mark.parametrize(("height", "seen", "is_free"), [(0.85, 0.13, True), (0.5, 0.48, False), (1.6, 0.13, False)])
+def test_the_top_of_a_cabinet_stands_and_a_whole_one_on_a_wall_hangs(height: float, seen: float, is_free: bool) -> None:
+    scene = Scene()
+    cabinet = scene.add(block(0.4, 0.8, seen), translation([-1.795, 0.0, height]), "cabinet")
+    outcome = scene.run()
+    support = next(row for row in outcome.rows["supports"] if row.instance_id == cabinet)
+    assert (support.relation, support.is_fixed) == (("floor", False) if is_free else ("wall", True))
+    assert poses_of(outcome)[cabinet][:3, 3] == pytest.approx(poses_of(outcome, "proposed")[cabinet][:3, 3], abs=0.006)
+    assert remains(outcome)[cabinet] is None
