@@ -85,7 +85,7 @@ def support_rows(scene_id: str, interior: Interior, lost: Collection[str], propo
             relation=carrier.relation,
             parent_id=carrier.parent_id,
             against=carrier.against,
-            gap_m=(proposed[name].gap if proposed[name].parent_id == carrier.parent_id else carrier.gap) + 0.0,
+            gap_m=(proposed[name].gap if proposed[name].parent_id == carrier.parent_id else carrier.gap) + carrier.reach,
             is_fixed=fixed,
             is_kept=name not in lost,
             is_inferred=carrier.is_inferred,
@@ -210,17 +210,16 @@ def set_down(interior: Interior, config: SupportConfig) -> list[str]:
     """Objects that nothing carried within reach and that were set down onto what lies below them, or whose colliders reach down to that, a
     line each."""
     notes = []
-    for name, carrier, solid in zip(interior.names, interior.carriers, interior.solids, strict=True):
+    for name, carrier in zip(interior.names, interior.carriers, strict=True):
         if carrier.relation == "none" and carrier.is_inferred:
             notes.append(f"{name}: nothing carried it; a bracket at {carrier.against}, in colliders alone, does")
         if carrier.relation not in ("floor", "on", "inside"):
             continue
         onto = carrier.parent_id or "the floor"
-        below = -min((float(hull.vertices[:, 2].min()) for hull in solid.hulls), default=0.0)
         if carrier.gap > config.reach_m:
             notes.append(f"{name}: nothing carried it; it was set down {carrier.gap:.2f} m onto {onto}")
-        elif carrier.is_inferred and below > config.reach_m:
-            notes.append(f"{name}: nothing carried it; its collider reaches {below:.2f} m down to {onto}")
+        if carrier.reach > config.reach_m:
+            notes.append(f"{name}: nothing carried it; its collider reaches {carrier.reach:.2f} m down to {onto}")
     return sorted(notes)
 
 

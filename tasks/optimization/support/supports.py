@@ -118,7 +118,8 @@ class PlacedAsset:
 class Carrier:
     """What carries an object. `gap` [m]: height of its bottom above that, both as proposed. `lift` [m]: how far it is
     moved up to rest, its carrier's own lift included. `against`: part of the room's shell that it hangs on or stands
-    against. `is_fixed`: fastened to the room. `is_inferred`: a board, plate or base that was not seen is below it."""
+    against. `is_fixed`: fastened to the room. `is_inferred`: a board, plate or base that was not seen is below it. `reach` [m]: of a base
+    of its collider below it, from whose end on the gap counts."""
 
     relation: str
     parent_id: str | None
@@ -127,6 +128,7 @@ class Carrier:
     against: str | None = None
     is_fixed: bool = False
     is_inferred: bool = False
+    reach: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -271,7 +271,8 @@ def test_what_is_far_outside_comes_in() -> None:
     scene = Scene()
     scene.add(block(0.5, 0.5, 0.5), translation([1e6, -1e6, 0.3]))
     outcome, summary = optimized(scene, Default())
-    assert bounds(outcome, scene)["0000"] == pytest.approx(np.array([[1.5, -2.0, 0.0], [2.0, -1.5, 0.5]]), abs=1e-6)
+    assert bounds(outcome, scene)["0000"] == pytest.approx(np.array([[1.5, -2.0, 0.3], [2.0, -1.5, 0.8]]), abs=1e-6)
+    assert collider_bounds(outcome, scene)["0000"][0, 2] == pytest.approx(0.0, abs=1e-6), "it reaches down to the floor"
     assert summary.remains == ()
 
 
