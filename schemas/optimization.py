@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from schemas.record import INSTANCE_PATTERN, SCENE_PATTERN, column, record
 
-BODY_PATTERN = r"[0-9]{4,}|floor|ceiling|(wall|inner)_[0-9]{2,}"
-"""An instance, or a part of the room's shell as exports name it: `floor`, `wall_00`, `inner_00`."""
+BODY_PATTERN = r"[0-9]{4,}|floor|ceiling|(wall|inner)_[0-9]{2,}|bracket_[0-9]{4,}"
+"""An instance, or a part of the room's shell as exports name it: `floor`, `wall_00`, `inner_00`; `bracket_0012` carries instance 0012."""
 
 RELATIONS = ("floor", "on", "inside", "wall", "ceiling", "none")
 """How an object can be carried."""
@@ -104,8 +104,13 @@ class Support:
     )
     is_kept: bool = column("The same object still carries it after the optimization")
     is_inferred: bool = column(
-        "The scan does not show what it stands on: a thin board or plate below it is in colliders alone (placements.collider_blob)",
+        "The scan does not show what it stands on: a board, plate or base below it is in colliders alone (placements.collider_blob)",
         earlier=False,
+    )
+    bracket_blob: str | None = column(
+        "Convex pieces of a thin board at a wall that carries it, which the scan does not show, world frame, GLB with one node each; "
+        "missing where it has none",
+        blob=True,
     )
 
 

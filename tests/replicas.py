@@ -129,7 +129,7 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
         rows["supports"].append(
             Support(
                 scene_id=scene_id, instance_id=instance_id, relation=item.relation, parent_id=item.parent_id, against=None, gap_m=0.0,
-                is_fixed=item.relation in ("wall", "ceiling"), is_kept=True, is_inferred=False,
+                is_fixed=item.relation in ("wall", "ceiling"), is_kept=True, is_inferred=False, bracket_blob=None,
             )
         )  # fmt: skip
     rows["assets"] = [assets[key] for key in sorted(assets)]

@@ -15,6 +15,7 @@ from schemas.capture import Room
 from tasks.furniture import canonical_category
 from tasks.furniture.dwellings import Dwelling
 from tasks.geometry.transforms import matrix
+from tasks.mounting import mounting
 from tasks.scanner import TrueObject
 from tasks.scanner.truth import DwellingObject, DwellingTruth
 
@@ -42,6 +43,8 @@ FIGURES: tuple[tuple[str, str, str], ...] = (
     ("unseen_objects", "free objects that the scan does not show at all", "count"),
     ("anchored", "free objects that were fixed (without failed rooms)", "count"),
     ("anchored_share", "share of the annotated free objects that were fixed", "percent"),
+    ("rugs", "rugs and mats", "count"),
+    ("rugs_5cm", "of them placed, and fixed or stable at 5 cm", "percent"),
     ("left_out", "free objects left out", "count"),
     ("fitted_left_out", "fitted objects left out", "count"),
     ("object_f_5cm", "F-score over objects at 5 cm, mean of rooms", "score"),
@@ -83,7 +86,7 @@ SHARES: Mapping[str, str] = {
     "moved_share": "placed",
     "collider_far_share": "placed", "object_completeness_5cm": "rooms", "anchored_share": "annotated", "ways_open": "ways",
     "regions_per_object": "rooms", "optimization_cpu_per_25": "objects",
-    "annotated_1cm": "annotated", "annotated_5cm": "annotated", "annotated_nudged": "annotated",
+    "rugs_5cm": "rugs", "annotated_1cm": "annotated", "annotated_5cm": "annotated", "annotated_nudged": "annotated",
 }  # fmt: skip
 """Figures that are means over rooms, and what each room counts by."""
 
@@ -105,6 +108,8 @@ def judged(
     free = [obj for obj in truth.objects if obj.is_free]
     verdicts = [_verdict(placed.get(obj.name), replica) for obj in free]
     moved_to = replica.true_to_world(matrix(truth.alignment))
+    rugs = [obj for obj in truth.objects if is_rug(obj)]
+    lying = [_lies(placed.get(obj.name), replica) for obj in rugs]
     off = [offset(obj, placed[obj.name], replica, moved_to) for obj in truth.objects if obj.name in placed]
     # how far the optimization took an object from where the scan shows it
     rows = [replica.placements[name] for name in placed.values()]
@@ -138,6 +143,8 @@ def judged(
         "unseen_objects": sum(obj.observed < SHOWN for obj in free),
         "anchored": len(fixed),
         "anchored_share": len(fixed) / len(in_annotation) if in_annotation else math.nan,
+        "rugs": len(rugs),
+        "rugs_5cm": mean(lying),
         "left_out": sum(obj.name not in placed for obj in free),
         "fitted_left_out": sum(obj.name not in placed for obj in truth.objects if not obj.is_free),
         "deep_pairs": replica.optimization.deep_pairs if replica.optimization else math.nan,
@@ -202,6 +209,17 @@ def _verdict(instance: str | None, replica: BenchReplica) -> tuple[bool, bool, b
     return bool(row.is_stable_1cm), bool(row.is_stable_5cm), bool(row.is_stable_nudged)
 
 
+def _lies(instance: str | None, replica: BenchReplica) -> bool:
+    """True if a rug is placed, and fixed or stable at 5 cm."""
+    row = replica.certificates.get(instance) if instance is not None else None
+    return bool(row is not None and (row.is_fixed or row.is_stable_5cm))
+
+
+def is_rug(obj: DwellingObject) -> bool:
+    """True if an object lies flat to be stood upon: it counts as fastened, and as free only where the truth says so."""
+    return mounting(obj.category).kind == "covering"
+
+
 def offset(obj: DwellingObject | TrueObject, instance: str, replica: BenchReplica, moved: Array) -> float:
     """Distance of the middle of a placed asset's box from that of the true object [m]."""
     row = replica.placements[instance]
@@ -243,11 +261,13 @@ def lost_room(
     total = pipeline_seconds(seconds or {})
     held = len([obj for obj in truth.objects if obj.is_free and obj.name in standing_for(truth)]) if truth else free
     unseen = len([obj for obj in truth.objects if obj.is_free and obj.observed < SHOWN]) if truth else 0
+    rugs = len([obj for obj in truth.objects if is_rug(obj)]) if truth else 0
     return {
         "room": f"room_{index:04d}", "has_frames": has_frames, "stage": stage, "error": error, "rooms": 1, "objects": len(home.objects),
         "free": free, "placed": 0, "annotated_share": math.nan, "stable_1cm": 0.0, "stable_5cm": 0.0, "stable_nudged": 0.0,
         "anchored": math.nan, "annotated": held, "annotated_1cm": 0.0, "annotated_5cm": 0.0, "annotated_nudged": 0.0,
-        "unseen_objects": unseen, "left_out": free, "fitted_left_out": len(home.objects) - free, "deep_pairs": math.nan,
+        "unseen_objects": unseen, "rugs": rugs, "rugs_5cm": 0.0 if rugs else math.nan, "left_out": free,
+        "fitted_left_out": len(home.objects) - free, "deep_pairs": math.nan,
         "object_f_5cm": 0.0, "object_completeness_5cm": 0.0, "unexplained_share": 1.0, "anchored_share": math.nan, "moved_share": math.nan,
         "collider_far_share": math.nan,
         "moved_15cm": len(home.objects), "moved_30cm": len(home.objects), "off_15cm": len(home.objects), "off_30cm": len(home.objects),

@@ -139,7 +139,7 @@ def _rows(room: ToppedRoom) -> dict[str, list[Any]]:
         supports.append(
             Support(
                 scene_id=room.scene_id, instance_id=name, relation=relation, parent_id=None if parent is None else _id(parent),
-                against=None, gap_m=0.0, is_fixed=False, is_kept=True, is_inferred=False,
+                against=None, gap_m=0.0, is_fixed=False, is_kept=True, is_inferred=False, bracket_blob=None,
             )
         )  # fmt: skip
 

@@ -257,10 +257,16 @@ class SceneModel:
 
     @property
     def walls(self) -> list[trimesh.Trimesh]:
+        """All parts of the room's shell."""
         return [part for parts in self.shell.values() for part in parts]
 
     @staticmethod
     def of(lake: Lake, reader: Reader, scene_id: str) -> SceneModel:
+        """The meshes of a scene of a snapshot.
+
+        Raises:
+            InputError: the snapshot has no such scene.
+        """
         from tasks.geometry.meshes import load_glb
         from tasks.replica import placed_parts
         from tasks.shell import room_shell

@@ -98,7 +98,8 @@ class Replica:
     """A scene ready to be written: its room and its bodies, sorted by instance.
 
     room: The row of `shells`: what encloses the scene's rooms together.
-    shell: The parts of that by name, world frame [m]: `tasks.shell.room_shell`, with the images that the scan gave them.
+    shell: The parts of that by name, world frame [m]: `tasks.shell.room_shell`, with the images that the scan gave them, and the boards at
+    walls that carry what nothing seen does.
     """
 
     scene_id: str
@@ -169,8 +170,21 @@ def gather(
             missed.append(f"{placement.instance_id}: no caption; mass from a density of {config.default_density_kg_m3:g} kg/m3")
         is_fixed = placement.instance_id in fixed
         bodies.append(_body(placement, shapes[key], by_instance.get(placement.instance_id), caption, is_fixed, config))
-    shell = textured(room_shell(room, config.shell), surfaces, blobs)
+    shell = [*textured(room_shell(room, config.shell), surfaces, blobs), *_brackets(supports, blobs)]
     return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), stated(scans.get(room.scene_id)), tuple(shell)), missed
+
+
+def _brackets(supports: Sequence[Support], blobs: Mapping[str, bytes]) -> list[tuple[str, trimesh.Trimesh]]:
+    """Boards at walls that the scan does not show, by name, world frame [m]."""
+    import trimesh
+
+    parts = []
+    for row in sorted(supports, key=lambda row: row.instance_id):
+        if row.bracket_blob is not None:
+            for number, hull in enumerate(read_pieces(blobs[row.bracket_blob], row.bracket_blob)):
+                name = f"bracket_{row.instance_id}" + (f"_{number}" if number else "")
+                parts.append((name, trimesh.Trimesh(hull.vertices, hull.faces, process=False)))
+    return parts
 
 
 def licensed(asset: Asset, scans: Mapping[str, str | None]) -> Asset:

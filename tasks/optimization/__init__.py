@@ -43,6 +43,7 @@ from tasks.optimization.rows import allowed_depths, contact_rows, optimization_r
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
 from tasks.optimization.search.trace import Move, Resolution, moved_poses, replayed_poses, step_rows, with_falls, with_shifts
 from tasks.optimization.solids import RigidBody
+from tasks.optimization.support.leaning import lean_of_points
 from tasks.optimization.support.resting import DEEP_M, lost_supports
 from tasks.optimization.support.supports import SupportConfig
 from tasks.settings import ByKind, Config, NonNegative
@@ -90,7 +91,8 @@ def run(
     room = shells[0] if shells else None
     cut_proposed(proposals, known, context.blobs, config.pieces, context.caches, context.spread)
     is_default = isinstance(config.method, Default)
-    placed = (known, context.blobs, room, config.supports, config.pieces, context.caches, is_default)
+    leans = {name: lean_of_points(scanned, np.ones(len(scanned))) for name, scanned in points.items()}
+    placed = (known, context.blobs, room, config.supports, config.pieces, context.caches, is_default, leans)
     deepest = config.misfit_m if is_default else np.inf  # the other methods move what they were given
     notable: dict[str, tuple[str, str]] = {}
     blobs = Blobs()

@@ -188,8 +188,8 @@ def _laid_out(interior: Interior, supports: SupportConfig, wedged: Collection[in
 
 
 def walls_of(interior: Interior) -> tuple[ConvexParts, ...]:
-    """The room's walls as they keep objects in, world frame [m]; none where no room is known."""
-    return shell_solids(interior.room, WALL_M) if interior.room is not None else ()
+    """The room's walls as they keep objects in, and brackets at them, world frame [m]; none where no room is known."""
+    return (*shell_solids(interior.room, WALL_M), *interior.brackets) if interior.room is not None else ()
 
 
 def poses_at_rest(interior: Interior, supports: SupportConfig) -> NDArray[np.float64]:

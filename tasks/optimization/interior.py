@@ -14,9 +14,12 @@ from schemas.errors import InputError
 from tasks.geometry.meshes import asset_surface, load_glb
 from tasks.geometry.pieces import PieceConfig, Uncut, asset_pieces, cut_ahead
 from tasks.geometry.transforms import inverse, is_rigid
+from tasks.optimization.colliders.bases import with_bases
+from tasks.optimization.colliders.brackets import with_brackets
 from tasks.optimization.proposals import Proposal
 from tasks.optimization.solids import ConvexParts, shell_solids
 from tasks.optimization.support.boards import board, board_bearers
+from tasks.optimization.support.leaning import Lean
 from tasks.optimization.support.supports import Carrier, PlacedAsset, SupportConfig, find_carriers, is_covering
 from tasks.shell import floor_ring
 from tasks.stage import Caches, Spread
@@ -30,7 +33,8 @@ class Interior:
 
     poses: asset to world frame as proposed, shape (n, 4, 4) [m]. parent: index of the carrier or -1, shape (n,). covering: rugs and cloths,
     to be stood upon; fixed: fastened to the room; shape (n,) each. ring:
-    corners of the floor [m], shape (m, 2); none when no room is known. shell: the walls as convex solids.
+    corners of the floor [m], shape (m, 2); none when no room is known. shell: the walls as convex solids, and brackets at them. brackets:
+    these alone, world frame, by names of `tasks.optimization.colliders.brackets`.
     """
 
     objects: tuple[PlacedAsset, ...]
@@ -44,6 +48,7 @@ class Interior:
     room: Shell | None
     ring: Array | None
     shell: tuple[ConvexParts, ...]
+    brackets: tuple[ConvexParts, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -66,17 +71,23 @@ class Interior:
 def furnish(
     proposals: Sequence[Proposal], assets: Mapping[str, Asset], blobs: Mapping[str, bytes], room: Shell | None,
     supports: SupportConfig, pieces: PieceConfig, caches: Caches, infers_boards: bool = False,
+    leans: Mapping[str, Lean | None] | None = None,
 ) -> tuple[Interior, list[str]]:  # fmt: skip
     """The proposed assets in their room, and what had to be left out of it, a line each.
 
-    infers_boards: what nothing carries within a piece of furniture gets a board there, in the collider of that.
+    infers_boards: what nothing carries within a piece of furniture gets a board there, in the collider of that; colliders of what stands
+    reach down to what carries it; what nothing carries at a wall gets a bracket. leans: how objects of which the scan has points lean, by
+    instance, None for upright ones.
     """
     notes: list[str] = []
     placed: list[tuple[PlacedAsset, Proposal, ConvexParts]] = []
     for proposal in proposals:
         name = proposal.instance.instance_id
         try:
-            placed.append(_placed(proposal, assets[proposal.asset_id], blobs, pieces, caches))
+            obj, _, solid = _placed(proposal, assets[proposal.asset_id], blobs, pieces, caches)
+            if leans is not None and name in leans:
+                obj = dataclasses.replace(obj, is_scanned=True, lean=leans[name])
+            placed.append((obj, proposal, solid))
         except (InputError, KeyError, ValueError) as error:
             why = f"blob {error.args[0]} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
             notes.append(f"{name}: nothing stands for it: asset {proposal.asset_id[:12]} cannot be placed: {why}")
@@ -91,8 +102,14 @@ def furnish(
             notes.append(f"nothing keeps the assets inside the room: {error}")
             room = None
     carriers = find_carriers([obj for obj, _, _ in placed], room, supports)
+    brackets: list[ConvexParts] = []
     if infers_boards:
         placed, carriers = _with_boards(placed, carriers)
+        objects, solids = [obj for obj, _, _ in placed], [solid for _, _, solid in placed]
+        poses = [proposal.pose for _, proposal, _ in placed]
+        objects, solids, carriers = with_bases(objects, solids, poses, carriers, room, supports)
+        solids, carriers, brackets = with_brackets(objects, solids, poses, carriers, room)
+        placed = list(zip(objects, [proposal for _, proposal, _ in placed], solids, strict=True))
     order = _carriers_first([obj.instance_id for obj, _, _ in placed], carriers)
     kept = [placed[i] for i in order]
     index = {obj.instance_id: i for i, (obj, _, _) in enumerate(kept)}
@@ -108,7 +125,8 @@ def furnish(
         fixed=np.array([carriers[obj.instance_id].is_fixed for obj, _, _ in kept], dtype=np.bool_),
         room=room,
         ring=ring,
-        shell=shell,
+        shell=(*shell, *brackets),
+        brackets=tuple(brackets),
     )
     return interior, notes
 

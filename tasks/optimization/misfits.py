@@ -98,7 +98,7 @@ def _dropping(before: Interior, after: Interior, replacements: Collection[str], 
 
 def _is_loose(carrier: Carrier, reach_m: float) -> bool:
     """True if nothing near carries an object."""
-    return carrier.relation == "none" or carrier.gap > reach_m
+    return carrier.relation == "none" or carrier.gap + carrier.reach > reach_m
 
 
 def _giving_way(

@@ -11,6 +11,7 @@ from schemas.optimization import Contact, Optimization, Placement, Support
 from tasks.geometry.boxes import aabb_overlaps
 from tasks.geometry.transforms import flat
 from tasks.optimization.certificates import Certified
+from tasks.optimization.colliders.brackets import BRACKET
 from tasks.optimization.contacts import Penetration
 from tasks.optimization.interior import Interior
 from tasks.optimization.search.collisions import plan_ring
@@ -78,6 +79,7 @@ def placement_rows(
 def support_rows(scene_id: str, interior: Interior, lost: Collection[str], proposed: Mapping[str, Carrier]) -> list[Support]:
     """What carries each object, by instance. `lost`: the objects that it carries no more at the optimized poses. proposed: what carried
     each before its collider was cut, by instance: how deep it sank."""
+    brackets = {bracket.name.removeprefix(BRACKET): bracket.blob for bracket in interior.brackets}
     rows = [
         Support(
             scene_id=scene_id,
@@ -85,10 +87,11 @@ def support_rows(scene_id: str, interior: Interior, lost: Collection[str], propo
             relation=carrier.relation,
             parent_id=carrier.parent_id,
             against=carrier.against,
-            gap_m=(proposed[name].gap if proposed[name].parent_id == carrier.parent_id else carrier.gap) + 0.0,
+            gap_m=(proposed[name].gap if proposed[name].parent_id == carrier.parent_id else carrier.gap) + carrier.reach,
             is_fixed=fixed,
             is_kept=name not in lost,
             is_inferred=carrier.is_inferred,
+            bracket_blob=brackets.get(name),
         )
         for name, carrier, fixed in zip(interior.names, interior.carriers, interior.fixed.tolist(), strict=True)
     ]
@@ -138,13 +141,14 @@ def contact_rows(
 def allowed_depths(interior: Interior, before: Sequence[Penetration]) -> dict[tuple[str, str], float]:
     """How deep fixed objects, which hang or are built in, were in parts of the room as proposed [m], by (object, part).
 
-    So deep they may stay: they are let into a wall or set against it, and the room's shell is only an estimate. Two of them may be in
-    each other: neither ever moves.
+    So deep they may stay: they are let into a wall or set against it, and the room's shell is only an estimate. Two of them, or one of them
+    and a bracket, may be in each other: neither ever moves.
     """
     known = set(interior.names)
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     let_in = {(p.a, p.b): p.depth_m for p in before if p.a in fixed and p.b not in known}
-    return let_in | {(a, b): np.inf for a in fixed for b in fixed if a != b}
+    unmoved = fixed | {bracket.name for bracket in interior.brackets}
+    return let_in | {(a, b): np.inf for a in fixed for b in unmoved if a != b}
 
 
 def remains_of(
@@ -167,7 +171,7 @@ def remains_of(
     for i, (name, carrier) in enumerate(zip(interior.names, interior.carriers, strict=True)):
         if interior.proposals[i].pose[2, 2] < UPSIDE_DOWN:
             lines[name].append("it stands upside down, as it was proposed")
-        if carrier.relation == "none":
+        if carrier.relation == "none" and not carrier.is_inferred:
             held = ", held there: nobody knows by what" if name in fixed else ""
             lines[name].append(f"nothing carries it; it hangs {carrier.gap:.2f} m above the floor{held}")
     for penetration in sorted(after, key=lambda p: -p.depth_m):
@@ -205,11 +209,19 @@ def remains_of(
 
 
 def set_down(interior: Interior, config: SupportConfig) -> list[str]:
-    """Objects that nothing carried within reach and that were set down onto what lies below them, a line each."""
+    """Objects that nothing carried within reach and that were set down onto what lies below them, or whose colliders reach down to that, a
+    line each."""
     notes = []
     for name, carrier in zip(interior.names, interior.carriers, strict=True):
-        if carrier.relation in ("floor", "on", "inside") and carrier.gap > config.reach_m:
-            notes.append(f"{name}: nothing carried it; it was set down {carrier.gap:.2f} m onto {carrier.parent_id or 'the floor'}")
+        if carrier.relation == "none" and carrier.is_inferred:
+            notes.append(f"{name}: nothing carried it; a bracket at {carrier.against}, in colliders alone, does")
+        if carrier.relation not in ("floor", "on", "inside"):
+            continue
+        onto = carrier.parent_id or "the floor"
+        if carrier.gap > config.reach_m:
+            notes.append(f"{name}: nothing carried it; it was set down {carrier.gap:.2f} m onto {onto}")
+        if carrier.reach > config.reach_m:
+            notes.append(f"{name}: nothing carried it; its collider reaches {carrier.reach:.2f} m down to {onto}")
     return sorted(notes)
 
 

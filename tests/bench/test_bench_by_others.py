@@ -38,7 +38,8 @@ BY_NAME = {scan.name: scan for scan in BY_OTHERS}
 ABOUT_TRUTH = {
     "objects", "free", "annotated_share", "stable_1cm", "stable_5cm", "stable_nudged", "unseen_objects", "anchored", "fitted_left_out",
     "off_15cm", "off_30cm", "openings", "silhouette", "openings_seen", "categories_right", "true_rooms", "rooms_right", "unseen",
-    "anchored_share", "ways", "ways_open", "regions_per_object", "optimization_cpu_per_25",
+    "anchored_share", "ways", "ways_open", "regions_per_object", "optimization_cpu_per_25", "rugs",
+    "rugs_5cm",
 }  # fmt: skip
 """Figures that only a truth gives, or that only generated rooms have."""
 

@@ -19,7 +19,7 @@ from rich.console import Console
 
 import bench.dwellings
 from bench.dwellings import DwellingJob, DwellingsBench, goals, measure_room, run_dwellings_bench
-from bench.dwellings.judgement import FIGURES, RIGHT, judged, lost_room, parts_of, shared_floors, standing_for, summed
+from bench.dwellings.judgement import FIGURES, RIGHT, is_rug, judged, lost_room, parts_of, shared_floors, standing_for, summed
 from bench.dwellings.openings import eyes, silhouettes
 from bench.dwellings.replicas import BenchReplica, FirstHits
 from bench.dwellings.tables import print_dwellings
@@ -33,6 +33,7 @@ from schemas.fidelity import SceneFidelity
 from schemas.optimization import Certificate, Optimization, Placement, Support
 from tasks.furniture.dwellings import Dwelling, dwelling
 from tasks.geometry.transforms import flat
+from tasks.mounting import mounting
 from tasks.scanner.truth import DwellingObject, DwellingTruth, TrueInstance, TruePassage, TrueRoom
 from tests.bench.pools import NoPool
 
@@ -154,6 +155,19 @@ def test_what_is_fixed_or_left_out_though_it_is_free_counts_as_unstable() -> Non
     assert (found["anchored"], found["left_out"]) == (1, 1)
     assert found["stable_1cm"] == pytest.approx(1 - 3 / len(free))
     assert found["stable_5cm"] == pytest.approx(1 - 2 / len(free))
+
+
+@pytest.mark.whole
+def test_rugs_are_counted_apart_from_what_is_free() -> None:
+    rugs = [k for k, obj in enumerate(home().objects) if mounting(obj.category).kind == "covering"]
+    before = figures(perfect())
+    assert before["rugs"] == len(rugs)
+    assert [obj.name for obj in truth().objects if is_rug(obj)] == [home().objects[k].name for k in rugs]
+    if rugs:
+        replica = perfect()
+        del replica.placements[f"{rugs[0]:04d}"]
+        found = figures(replica)
+        assert (before["rugs_5cm"], found["rugs_5cm"]) == (1.0, pytest.approx(1 - 1 / len(rugs)))
 
 
 def test_what_the_annotation_lacks_counts_among_all_free_objects_alone() -> None:

@@ -119,8 +119,9 @@ def _support(walk: Walk, placement: str, scene_id: str, instance_id: str, depth:
     row = walk.row(Support, scene_id, instance_id=instance_id)
     if row is None:
         return
-    facts = picked(row, "relation", "parent_id", "against", "gap_m", "is_fixed", "is_kept", "is_inferred")
+    facts = picked(row, "relation", "parent_id", "against", "gap_m", "is_fixed", "is_kept", "is_inferred", "bracket_blob")
     node = walk.node("support", f"{scene_id}/{instance_id}", facts, walk.run(scene_id, "optimization"))
+    walk.check_blobs(node, (row.bracket_blob,))
     walk.edge(node, placement, "carries")
     walk.line(depth, "carried by", node)
     if row.parent_id is not None:

@@ -12,7 +12,8 @@ SELECT
     CASE WHEN u(object, 'gap') < 0.2 THEN round(0.05 * u(object, 'height') - 0.02, 3) ELSE 0.0 END AS gap_m,
     relation IN ('wall', 'ceiling') AS is_fixed,
     u(object, 'kept') < 0.98 AS is_kept,
-    FALSE AS is_inferred
+    FALSE AS is_inferred,
+    NULL AS bracket_blob
 FROM (
     SELECT
         *,

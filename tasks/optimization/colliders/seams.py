@@ -124,14 +124,18 @@ def _cut_once(
 
 
 def with_stored_colliders(interior: Interior, blobs: Blobs) -> Interior:
-    """The interior with the colliders that were changed as they are read back from the blobs that are kept of them."""
-    solids = []
+    """The interior with the colliders that were changed, and the brackets, as they are read back from the blobs that are kept of them."""
+    solids, brackets = [], []
+    for bracket in interior.brackets:
+        name = blobs.add(dump_pieces(bracket.hulls), "glb")
+        brackets.append(dataclasses.replace(bracket, hulls=read_pieces(blobs[name], name), blob=name))
     for solid in interior.solids:
         if solid.properties is None:
             name = blobs.add(dump_pieces(solid.hulls), "glb")
             solid = dataclasses.replace(solid, hulls=read_pieces(blobs[name], name), blob=name)
         solids.append(solid)
-    return dataclasses.replace(interior, solids=tuple(solids))
+    walls = interior.shell[: len(interior.shell) - len(brackets)]
+    return dataclasses.replace(interior, solids=tuple(solids), brackets=tuple(brackets), shell=(*walls, *brackets))
 
 
 def _ended_at_carriers(interior: Interior) -> Interior:

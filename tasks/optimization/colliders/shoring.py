@@ -7,36 +7,26 @@ what carries it a board, no larger than needed, and is marked (`supports.is_infe
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tasks.geometry.hulls import Hull
 from tasks.geometry.transforms import inverse
-from tasks.optimization.colliders.cutting import beyond, prism, without
+from tasks.optimization.colliders.cutting import beyond, prism
+from tasks.optimization.colliders.undersides import DOWN, LOWER_SHARE, PLATE_M, apart_from, base_ring, holds
 from tasks.optimization.interior import Interior
 from tasks.optimization.solids import ConvexParts, mass_properties_of
 from tasks.optimization.support.boards import BOARD_M
 
 Array = NDArray[np.float64]
 
-DOWN = np.array([0.0, 0.0, -1.0])
-
-PLATE_M = 0.006
-"""Thickness of a plate under an object [m]."""
-
-LOWER_SHARE = 0.33
-"""Of the height of an object: a plate is as wide as that much of it."""
-
-LEAST_MARGIN_M = 0.01
-"""The center of mass lies so far within a plate [m], if the object is wide enough: less, and a nudge throws it over."""
-
 
 def with_plates(interior: Interior, poses: Array, wanted: Collection[int], clear: float) -> tuple[Interior, frozenset[int]]:
     """The interior, and the objects by number, of which those in `wanted` that are at rest at `poses`, shape (n, 4, 4) [m], got a flat
-    plate at their lowest point, as wide as their lower part, and a board below it in the collider of what carries them; neither reaches
-    into anything.
+    plate at their lowest point, as wide as their lower part and what is below their center of mass, and a board below it in the collider of
+    what carries them; neither reaches into anything.
 
     clear: gap that plates keep beside others [m].
     """
@@ -50,17 +40,17 @@ def with_plates(interior: Interior, poses: Array, wanted: Collection[int], clear
         center = poses[i][:3, :3] @ mass_properties_of(solids[i]).center + poses[i][:3, 3]
         level = low + max(LOWER_SHARE * height, BOARD_M)
         lower = [part.vertices[:, :2] for hull in placed[i] if (part := beyond(hull, DOWN, -level)) is not None]
-        ring = _ring(np.concatenate([*lower, np.zeros((0, 2))]))
-        if ring is None or not _holds(ring, center[:2]):
+        ring = base_ring(np.concatenate([*lower, np.zeros((0, 2))]), center[:2])
+        if ring is None or not holds(ring, center[:2]):
             continue
         around = [hull for k, hulls in enumerate(placed) if k != i for hull in hulls if _is_near(hull, ring, low)]
-        plates = _beside(prism(ring, low, low + PLATE_M), around, clear)
-        if not plates or not _holds(np.concatenate([plate.vertices[:, :2] for plate in plates]), center[:2]):
+        plates = apart_from(prism(ring, low, low + PLATE_M), around, clear)
+        if not plates or not holds(np.concatenate([plate.vertices[:, :2] for plate in plates]), center[:2]):
             continue
         parent = parents[i]
         if parent >= 0 and low > BOARD_M:
             apart = [hull for k, hulls in enumerate(placed) if k not in (i, parent) for hull in hulls if _is_near(hull, ring, low)]
-            boards = _beside(prism(ring, low - BOARD_M, low), apart, clear)
+            boards = apart_from(prism(ring, low - BOARD_M, low), apart, clear)
             if not boards:
                 continue
             placed[parent] += boards
@@ -76,43 +66,8 @@ def with_plates(interior: Interior, poses: Array, wanted: Collection[int], clear
     return dataclasses.replace(interior, solids=tuple(made), carriers=carriers), frozenset(plated)
 
 
-def _ring(points: Array) -> Array | None:
-    """Corners of the convex hull of points in plan, shape (n, 2) [m]; None where they lie on a line."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        return np.asarray(points[ConvexHull(points).vertices])
-    except (QhullError, ValueError):
-        return None
-
-
-def _holds(ring: Array, center: Array) -> bool:
-    """True if a center of mass, shape (2,), lies well within the convex hull of points in plan, shape (n, 2) [m]."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        plan = ConvexHull(ring)
-    except (QhullError, ValueError):
-        return False
-    margin = -float((plan.equations[:, :2] @ center + plan.equations[:, 2]).max())
-    return margin >= min(LEAST_MARGIN_M, 0.25 * plan.volume / max(plan.area, 1e-9))
-
-
 def _is_near(hull: Hull, ring: Array, low: float) -> bool:
     """True if a piece may reach into a plate, or the board below it."""
     first, last = hull.vertices.min(axis=0), hull.vertices.max(axis=0)
     in_plan = bool((first[:2] <= ring.max(axis=0)).all() and (last[:2] >= ring.min(axis=0)).all())
     return in_plan and bool(first[2] < low + PLATE_M and last[2] > low - BOARD_M)
-
-
-def _beside(hull: Hull | None, around: Sequence[Hull], clear: float) -> list[Hull]:
-    """Convex parts of a hull that lie in none of several other hulls; none if there is no hull."""
-    if hull is None:
-        return []
-    parts = [hull]
-    for other in around:
-        top = float(other.vertices[:, 2].max())
-        if top <= float(hull.vertices[:, 2].min()) + 1e-5:
-            continue  # it carries the plate
-        parts = [part for each in parts for part in without(each, other, clear)]
-    return parts

@@ -31,13 +31,15 @@ LARGER = 2.0
 
 
 def board_bearers(placed: Sequence[PlacedAsset], carriers: Mapping[str, Carrier]) -> dict[str, str]:
-    """Of each object that nothing carries, and whose name does not say that it hangs, the smallest piece of furniture within which it is:
-    that has a board there which was not seen. By instance; of those without any, nothing."""
+    """Of each object that nothing carries but perhaps a wall, and whose name does not say that it hangs, the smallest piece of furniture
+    within which it is: that has a board there which was not seen. By instance; of those without any, nothing."""
     by_id = {obj.instance_id: obj for obj in placed}
     bearers: dict[str, str] = {}
     for name, carrier in sorted(carriers.items()):
         obj = by_id[name]
-        if carrier.relation != "none" or mounting(obj.category).kind in ("wall", "ceiling", "let_in", "covering"):
+        kind = mounting(obj.category).kind
+        may_stand = carrier.relation == "none" or (carrier.relation == "wall" and kind in ("either", "any"))
+        if not may_stand or kind in ("ceiling", "let_in", "covering"):
             continue
         around = [
             other

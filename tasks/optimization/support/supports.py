@@ -16,6 +16,7 @@ from tasks.mounting import mounting
 from tasks.optimization.support.enclosures import encloses
 from tasks.optimization.support.fastening import built_in, is_fixed, is_worktop
 from tasks.optimization.support.heights import face_blocks, plan_view, underside
+from tasks.optimization.support.leaning import Lean, is_leaning
 from tasks.optimization.support.standing import MOST_CELLS, kept_cells, standing_map
 from tasks.optimization.support.walls import WallFace, stands_against, wall_contact, wall_faces
 from tasks.settings import Config, NonNegative, Positive, Share
@@ -55,7 +56,8 @@ class SupportConfig(Config):
 @dataclasses.dataclass(frozen=True)
 class PlacedAsset:
     """An asset in the world frame as proposed. `low`, `high`: its axis-aligned box [m], shape (3,). `closed`: its faces
-    bound a solid and look outward, so that only those that look up carry."""
+    bound a solid and look outward, so that only those that look up carry. `is_scanned`: the scan has points of it; `lean`: how these
+    lean, if they do."""
 
     instance_id: str
     category: str
@@ -63,6 +65,8 @@ class PlacedAsset:
     low: Array
     high: Array
     closed: bool
+    is_scanned: bool = False
+    lean: Lean | None = None
 
     @staticmethod
     def of(instance_id: str, category: str, surface: Surface, watertight: bool) -> PlacedAsset:
@@ -114,7 +118,8 @@ class PlacedAsset:
 class Carrier:
     """What carries an object. `gap` [m]: height of its bottom above that, both as proposed. `lift` [m]: how far it is
     moved up to rest, its carrier's own lift included. `against`: part of the room's shell that it hangs on or stands
-    against. `is_fixed`: fastened to the room. `is_inferred`: a board that was not seen carries it, or it stands on a plate."""
+    against. `is_fixed`: fastened to the room. `is_inferred`: a board, plate or base that was not seen is below it. `reach` [m]: of a base
+    of its collider below it, from whose end on the gap counts."""
 
     relation: str
     parent_id: str | None
@@ -123,6 +128,7 @@ class Carrier:
     against: str | None = None
     is_fixed: bool = False
     is_inferred: bool = False
+    reach: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -237,6 +243,10 @@ def _carrier(
         if kind == "wall" and float(obj.high[2]) > config.rail_m:
             return ceiling
     rest = _rest_within(obj, order, rests, config)
+    if contact is not None and kind not in ("let_in", "wall", "ceiling") and is_leaning(obj, contact.face):
+        foot = rest or _rest_off(obj, order, rests, config.most_drop_m, config)
+        if foot is not None:
+            return Carrier("floor" if foot.parent is None else "on", foot.parent, foot.gap, -foot.gap, contact.face.name)
     if kind == "frame" and wall is not None:
         small = float((obj.high - obj.low).max()) <= config.desk_frame_m
         if rest is None or abs(rest.gap) > (config.reach_m if small else config.hung_gap_m):

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from schemas.capture import Scene as SceneRow
 from tasks.exports.bodies import gather
 from tasks.exports.config import ExportsConfig
+from tasks.exports.files import write_folder
+from tasks.exports.mjcf import mjcf_files
+from tasks.exports.mjcf.rules import check_mjcf
 from tasks.geometry.mass import mass_properties
 from tasks.geometry.transforms import translation
 from tests.samples import sample
@@ -40,3 +45,27 @@ def test_pieces_of_a_placement_alone_are_those_of_the_exported_body() -> None:
         assert bodies[name].shape.properties.volume == pytest.approx(mass_properties(hulls).volume, rel=1e-4)
     assert bodies[cabinet].shape.name != bodies[other].shape.name, "one asset, two colliders"
     assert bodies[cabinet].shape.properties.volume < 0.95 * bodies[other].shape.properties.volume
+
+
+def test_brackets_of_supports_are_static_parts_of_the_exported_room(tmp_path: Path) -> None:
+    """What stands on a shelf that no scan shows stays there in exported files as in its certificate."""
+    scene = Scene()
+    vase = scene.add(block(0.12, 0.2, 0.3), translation([-1.8, 0.3, 1.4]), "vase")
+    outcome = scene.run()
+    replica, missed = gather(
+        [sample(SceneRow, scene_id=SCENE)], scene.shells, scene.instances, scene.captions, list(scene.assets.values()),
+        outcome.rows["placements"], outcome.rows["supports"], {**scene.blobs, **outcome.blobs}, ExportsConfig(),
+    )  # fmt: skip
+    assert missed == []
+    (board,) = [mesh for name, mesh in replica.shell if name == f"bracket_{vase}"]
+    assert board.bounds[1][2] == pytest.approx(1.4, abs=1e-4)
+    write_folder(tmp_path, {file.path: file.data for file in mjcf_files(replica, ExportsConfig())})
+    path = next(tmp_path.rglob("scene.xml"))
+    assert check_mjcf(path) == []
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    start = data.qpos[2]
+    for _ in range(round(1.0 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    assert data.qpos[2] == pytest.approx(start, abs=0.002)
