@@ -90,7 +90,7 @@ def _write_room(folder: Path, replica: Replica, config: ExportsConfig) -> None:
         add_collider(geometry, f"{path}/Collider", hull)
         part = stage.OverridePrim(path)
         Usd.ModelAPI(part).SetKind(Kind.Tokens.component)
-        kind = name if name in ("floor", "ceiling") else "wall"
+        kind = name if name in ("floor", "ceiling") else "shelf" if name.startswith("bracket_") else "wall"
         label(part, {"class": [kind], "category": [kind]})
         UsdGeom.Scope.Define(stage, f"{path}/Looks")
         paint = f"{path}/Looks/Paint"
