@@ -32,6 +32,9 @@ Indices = NDArray[np.int64]
 ROOM = frozenset({"floor", "wall", "ceiling"})
 """Categories of what is part of a room."""
 
+GROUND_M = 0.02
+"""What frames see that rises no higher above the floor [m] is floor: poses that drift show it twice."""
+
 TABLE = "table"
 """Category of what carries everything in a scan without a room."""
 
@@ -123,7 +126,7 @@ def voted_groups(
         regions = [group.vertices for group in by_surface.groups if group.raw_label.partition(":")[2] not in ROOM]
         parts, numbers = refined(regions, [members for members, _ in instances], areas, config.refinement)
         instances = [(members, number >= 0 and instances[number][1]) for members, number in zip(parts, numbers, strict=True)]
-    for members, is_support in instances:
+    for members, is_support in _without_ground(world, owner, named, instances):
         owner[members] = len(named)
         points, facing, sizes = world.vertices[members], normals[members], areas[members]
         if is_support and is_table:
@@ -141,6 +144,22 @@ def voted_groups(
     if is_table:
         notes.append("cameras look at a table from close by, no floor seen: the table's top is at height 0")
     return GeometryInstances(groups_of(rows, owner, world), probabilities, tuple(notes))
+
+
+def _without_ground(
+    world: Surface, owner: Indices, named: list[tuple[str, Indices]], instances: Sequence[tuple[Indices, bool]]
+) -> list[tuple[Indices, bool]]:
+    """Instances, vertices and whether they carry others, without those that rise no higher than `GROUND_M`: these go to the floor of
+    `named` and of `owner`, shape (n,), if there is one."""
+    floor = next((number for number, (category, _) in enumerate(named) if category == "floor"), None)
+    if floor is None:
+        return list(instances)
+    is_ground = [float(np.percentile(world.vertices[members, 2], 95)) < GROUND_M for members, _ in instances]
+    for (members, _), ground in zip(instances, is_ground, strict=True):
+        if ground:
+            owner[members] = floor
+            named[floor] = ("floor", np.concatenate([named[floor][1], members]))
+    return [instance for instance, ground in zip(instances, is_ground, strict=True) if not ground]
 
 
 def is_tabletop(room: Sequence[str], frames: Sequence[FrameSource], alignment: Array, config: VoteConfig) -> bool:

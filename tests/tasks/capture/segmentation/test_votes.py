@@ -19,7 +19,7 @@ from tasks.capture.leveling import read_scan
 from tasks.capture.reading import FrameSource, Reading, groups_of
 from tasks.capture.segmentation.frame import FrameConfig
 from tasks.capture.segmentation.gravity import scan_level
-from tasks.capture.segmentation.votes import VoteConfig, is_tabletop, room_pixels, shown_share, voted_groups
+from tasks.capture.segmentation.votes import VoteConfig, _without_ground, is_tabletop, room_pixels, shown_share, voted_groups
 from tasks.capture.small_objects.lifting import DepthView
 from tasks.geometry.meshes import Surface
 from tasks.geometry.transforms import matrix, translation
@@ -116,6 +116,20 @@ def test_regions_of_the_surface_come_first_only_where_no_frame_shows_most_of_it(
     halves = [int((labels == 1).sum()), int((labels == 2).sum())]
     assert cupboards(0) == [pytest.approx(sum(halves), rel=0.05)]
     assert cupboards(4) == halves
+
+
+@pytest.mark.parametrize("category", ["floor", "wall"])
+def test_a_floor_that_drifting_frames_show_twice_is_one(category: str) -> None:
+    heights = np.repeat([0.0, -0.06, 0.05], 50)
+    world = Surface(np.column_stack([np.arange(150.0), np.zeros(150), heights]), np.zeros((0, 3), np.int64), np.zeros((150, 3), np.uint8))
+    first, drifted, box = np.split(np.arange(150), 3)
+    owner = np.where(np.arange(150) < 50, 0, -1)
+    named = [(category, first)]
+    kept = _without_ground(world, owner, named, [(drifted, False), (box, True)])
+    is_floor = category == "floor"
+    assert [members.tolist() for members, _ in kept] == ([box.tolist()] if is_floor else [drifted.tolist(), box.tolist()])
+    assert np.array_equal(owner[drifted], np.full(50, 0 if is_floor else -1))
+    assert len(named[0][1]) == (100 if is_floor else 50)
 
 
 def test_frames_without_depth_or_plane_leave_it_to_cameras(tmp_path: Path) -> None:
