@@ -1,9 +1,11 @@
-"""The pictures of the README: a scan and its replica from the same camera, wiped over one another (WebP) or side by side (JPEG); and a
-desk that a model furnishes six times (JPEG). And one of docs/navigation.md: walks of agents of a lake, one that succeeds and one that
-fails (JPEG).
+"""The pictures of the README: a scan and its replica from the same camera, wiped over one another (WebP) or side by side (JPEG), from
+above or at eye level; and a desk that a model furnishes six times (JPEG). And one of docs/navigation.md: walks of agents of a lake, one
+that succeeds and one that fails (JPEG).
 
 python docs/pictures.py demo/lake demo/scene0001_00 docs/replica.webp
 python docs/pictures.py hard-room 0 docs/hard_room.jpg
+python docs/pictures.py wild-rooms 0,1,2,3,4,5 docs/wild_rooms.jpg
+python docs/pictures.py eyes:lake rgbd/dining docs/dining.jpg
 python docs/pictures.py desk 0 docs/desk.jpg
 python docs/pictures.py walks demo/lake docs/walk.jpg
 """
@@ -16,10 +18,11 @@ import tempfile
 from pathlib import Path
 
 from desks import six_desks
+from eye_level import eye_level_pair, eye_level_sheet, sheet
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
-from bench.dwellings import DwellingJob, measure_room
+from bench.dwellings import DwellingJob, DwellingsBench, measure_room
 from flows.outputs.films import shown_walks
 from flows.stats.scenes import picture_scene_of, walk_strip_of
 from tasks.films.frames import OUTCOMES
@@ -73,8 +76,15 @@ def side_by_side(scan: Image.Image, replica: Image.Image) -> bytes:
 
 
 def main() -> None:
-    """Write the picture of a scene of a lake, of a room of `metascenes bench rooms`, by number, of a desk, by seed, or of walks."""
+    """Write the picture of a scene of a lake, of a room of `metascenes bench rooms`, by number, of a desk, by seed, or of walks; of several
+    scenes or rooms at eye level."""
     address, scene, out = sys.argv[1:]
+    if address.startswith("eyes:"):
+        Path(out).write_bytes(eye_level_sheet(Lake.open(address.removeprefix("eyes:")), scene.split(",")))
+        return
+    if address == "wild-rooms":
+        Path(out).write_bytes(sheet([wild_pair(int(number)) for number in scene.split(",")]))
+        return
     if address == "walks":
         Path(out).write_bytes(two_walks(scene))
         return
@@ -89,6 +99,16 @@ def main() -> None:
         if figures["error"] is not None:
             raise SystemExit(f"room {scene}: {figures['stage']}: {figures['error']}")
         draw(f"{place}/lake", f"scannet/scene{int(scene):04d}_00", out)
+
+
+def wild_pair(number: int) -> tuple[str, Image.Image, Image.Image]:
+    """Name, scan and replica of a wild room at eye level."""
+    bench = DwellingsBench(number + 1, 0, 1, kind="wild")
+    with tempfile.TemporaryDirectory() as place:
+        figures = measure_room(DwellingJob(number, 0, place, settings=bench.all_settings, kind="wild"))
+        if figures["error"] is not None:
+            raise SystemExit(f"room {number}: {figures['stage']}: {figures['error']}")
+        return f"wild room {number}", *eye_level_pair(Lake.open(f"{place}/lake"), f"scannet/scene{number:04d}_00")
 
 
 def two_walks(address: str) -> bytes:
