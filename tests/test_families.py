@@ -139,6 +139,7 @@ ELSEWHERE = {
     "tasks/ingestion/reading.py habitat": "as above",
     "tasks/ingestion/scene.py habitat": "the name of an agent, which files of that layout do not say",
     "tasks/ingestion/sources.py habitat": "a layout of finished datasets",
+    "tasks/alignment/sampling.py library": "assets of this provider alone have a size of their own",
     "tasks/lineage/words.py extents": "the size of an object",
     "tasks/lineage/words.py model": "the kind of what is explained",
     "tasks/scanner/scenery.py model": "a file of a library",

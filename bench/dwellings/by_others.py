@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.dwellings.judgement import BATCH, FAR_M, FIGURES, is_same, mean, offset, pipeline_seconds
+from bench.dwellings.judgement import BATCH, COLLIDER_M, FAR_M, FIGURES, is_same, mean, offset, pipeline_seconds
 from bench.dwellings.replicas import BenchReplica
 from bench.realdata import HOUSE, HOUSE_VOXEL_M, LIVING_ROOM, MODELS
 from schemas.budget import BUDGET
@@ -119,6 +119,7 @@ def judged_by_others(scan: ScanByOthers, truth: ScanTruth | None, replica: Bench
         "moved_15cm": sum(far > FAR_M[0] for far in moved),
         "moved_30cm": sum(far > FAR_M[1] for far in moved),
         "moved_share": mean([far > FAR_M[0] for far in moved]),
+        "collider_far_share": mean([(row.collider_distance_m or 0.0) > COLLIDER_M for row in placed.values()]),
         "rooms_found": len(replica.rooms),
         "seconds": total,
         "seconds_per_25": BATCH * total / max(len(objects), 1),

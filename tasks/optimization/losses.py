@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from schemas.candidates import Asset
 from tasks.geometry.meshes import asset_surface, sample_surface
 from tasks.geometry.transforms import transform_points
+from tasks.geometry.triangles import surface_area
 from tasks.optimization.proposals import Proposal
 from tasks.stage import Caches
 
@@ -70,8 +71,10 @@ def _way(was: Proposal, pose: Array) -> float:
 
 
 def _surface_points(proposal: Proposal, asset: Asset, pose: Array, blobs: Mapping[str, bytes], caches: Caches) -> Array:
-    """Points on an asset where it stands, world frame, shape (`SAMPLES`, 3) [m]."""
+    """Points on an asset where it stands, world frame, shape (`SAMPLES`, 3) [m]; none on one without area."""
     surface = asset_surface(asset.mesh_blob, blobs, f"{asset.name}.glb", caches["tasks.geometry.meshes"])
+    if not surface_area(surface.vertices, surface.faces) > 0.0:
+        return np.zeros((0, 3))
     return sample_surface(surface.transformed(pose, proposal.scale), SAMPLES, np.random.default_rng(0))[0]
 
 
@@ -79,6 +82,8 @@ def _f_score(scanned: Array, surface: Array) -> float:
     """Harmonic mean of the shares of scanned points near a surface, and of its points near the scan, shapes (n, 3) and (m, 3) [m]."""
     from scipy.spatial import KDTree
 
+    if not len(surface):
+        return 0.0
     complete = float((KDTree(surface).query(scanned, distance_upper_bound=WITHIN_M)[0] < WITHIN_M).mean())
     accurate = float((KDTree(scanned).query(surface, distance_upper_bound=WITHIN_M)[0] < WITHIN_M).mean())
     return 2.0 * complete * accurate / (complete + accurate) if complete + accurate > 0.0 else 0.0

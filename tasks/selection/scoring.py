@@ -31,9 +31,7 @@ class ScoreConfig(Config):
     falloff: float = 0.04  # of the diagonal: the mean distance at which closeness falls to 1/e; never less than the scan's resolution
     look_loss: float = 0.02  # an asset that scores this much less than an instance's best does where it does for several
     own_geometry: Texts = ("scan_crop",)  # providers, by how their names begin, whose assets are the scan itself
-    recognized_complete: float = (
-        0.885  # of the points that a model of a library covers: in a real house true ones 0.89 and more, others 0.88
-    )
+    recognized_complete: float = 0.885  # of the points that a library's model covers: in a house true ones 0.89 and more, others 0.88
     recognized_consistent: float = 0.8  # of its surface that is near points or was not seen empty; scans lose rods, which then look empty
     recognized_near: float = 0.5  # the same without frames, where unseen sides are not near points either
     recognized_color: float = 0.3  # likeness of colors up to light: shadows and few samples leave that much of small true models

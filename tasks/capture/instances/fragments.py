@@ -59,6 +59,8 @@ def without_wall_scraps(
 
     region, points = region.copy(), surface.vertices
     count = int(region.max(initial=-1)) + 1
+    if not count:
+        return list(planes), region
     is_in = region >= 0
     sizes = np.bincount(region[is_in], weights=areas[is_in], minlength=count)
     candidates = np.flatnonzero(is_in & (sizes[np.maximum(region, 0)] <= config.wall_m2))

@@ -11,7 +11,7 @@ from schemas.candidates import Asset
 from tasks.geometry.meshes import asset_surface, sample_surface
 from tasks.geometry.pieces import Hull
 from tasks.geometry.proximity import closest_points
-from tasks.geometry.triangles import face_planes
+from tasks.geometry.triangles import face_planes, surface_area
 from tasks.optimization.interior import Interior
 from tasks.stage import Caches
 
@@ -31,7 +31,7 @@ def collider_distances(
     interior: Interior, poses: Array, assets: Mapping[str, Asset], blobs: Mapping[str, bytes], caches: Caches
 ) -> dict[str, float]:
     """Distance from the collider within which `SHARE` percent of the points on an asset's surface lie [m], by instance. Points at seams
-    do not count; an object with no other points has no figure.
+    do not count; an object with no other points, or no area, has no figure.
 
     poses: asset to world frame, shape (n, 4, 4) [m].
     """
@@ -42,6 +42,8 @@ def collider_distances(
     for i, (proposal, pose) in enumerate(zip(interior.proposals, poses, strict=True)):
         asset = assets[proposal.asset_id]
         surface = asset_surface(asset.mesh_blob, blobs, f"{asset.name}.glb", caches["tasks.geometry.meshes"])
+        if not surface_area(surface.vertices, surface.faces) > 0.0:
+            continue
         points = sample_surface(surface.transformed(pose, proposal.scale), SAMPLES, np.random.default_rng(0))[0]
         is_clear = points[:, 2] > SEAM_M
         low, high = points.min(axis=0) - SEAM_M, points.max(axis=0) + SEAM_M

@@ -88,3 +88,13 @@ def test_small_pieces_in_the_plane_of_a_wall_are_that_wall(off: float, width: fl
     (grown,), region = without_wall_scraps(surface, normals, areas, [wall], np.where(own == 0, -1, 0), FragmentConfig())
     assert len(grown.members) == (len(own) if is_wall else len(wall.members))
     assert (region.max() == -1) == is_wall
+
+
+def test_a_room_without_regions_has_none_afterwards() -> None:
+    surface, _ = scene(board(0.0))
+    none, planes = np.full(len(surface.vertices), -1), [RoomPlane("wall", np.arange(len(surface.vertices)))]
+    normals, areas = vertex_normals(surface.vertices, surface.faces), vertex_areas(surface)
+    kept, region = without_wall_scraps(surface, normals, areas, planes, none, FragmentConfig())
+    assert [plane.category for plane in kept] == ["wall"]
+    assert np.array_equal(region, none)
+    assert np.array_equal(joined_fragments(surface, areas, none, FragmentConfig(), RegionConfig()), none)
