@@ -21,7 +21,7 @@ from warehouse.lake import Lake
 
 LOOK = PictureConfig(width=560, height=400, jpeg_quality=95)
 SMALL = PictureConfig(width=112, height=80, oversampling=1)
-FOV_RADIANS = 1.25
+FOV_RADIANS = 1.1
 EYES_M = 1.6
 """Height of a person's eyes [m]."""
 
