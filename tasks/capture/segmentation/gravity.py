@@ -27,6 +27,9 @@ _SAME_LEVEL_M, _LEAST_M2 = 0.025, 0.15
 """Between frames' views of one level and its middle [m], drift of poses; and least of it that is seen, over all frames [m2]: less is the
 lid of a box."""
 
+_HIGHEST_M = 3.0
+"""Nobody holds a camera higher over what carries things [m]: a plane farther off is a wall that it looks at."""
+
 _LEVEL_POINTS = 4000
 """Of a level, points by which its height is told: its median is then known to a fiftieth of the depth noise."""
 
@@ -45,7 +48,8 @@ believed: who films a room may look at its floor now and then."""
 
 
 def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfig) -> SeenLevel | None:
-    """Up by the normal of the supports of most pixels of some frames; else that of the cameras on average, None where they disagree.
+    """Up by the normal of the supports of most pixels of some frames, within reach of a person; else that of the cameras on average, None
+    where they disagree.
 
     spacing: Of the vertices of the surface that was fused from them [m], which follows depth noise.
 
@@ -55,7 +59,7 @@ def scan_level(frames: Sequence[FrameSource], spacing: float, config: FrameConfi
     band = float(np.clip(_BAND_SPACINGS * spacing, _LEAST_BAND_M, BAND_M))
     views = [depth_view(frames[index], np.eye(4)) for index in chosen_frames(frames, _MOST_FRAMES)]
     seen = [(view, _planes(view, config)) for view in views if view is not None]
-    supports = _upward([(view, planes.support) for view, planes in seen if planes.support is not None])
+    supports = _upward([(view, own) for view, planes in seen if (own := planes.support) is not None and own.plane.offset <= _HIGHEST_M])
     if supports:
         directions = np.array([view.pose[:3, :3] @ support.plane.normal for view, support in supports])
         counts = np.array([float(support.pixels.sum()) for _, support in supports])

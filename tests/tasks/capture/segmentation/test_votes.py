@@ -142,6 +142,15 @@ def test_frames_without_depth_or_plane_leave_it_to_cameras(tmp_path: Path) -> No
     assert scan_level((), 0.01, FrameConfig()) is None
 
 
+@pytest.mark.parametrize(("away", "is_below"), [(1.5, True), (5.0, False)])
+def test_a_plane_farther_off_than_anybody_holds_a_camera_is_a_wall(away: float, is_below: bool, tmp_path: Path) -> None:
+    view, _ = shown(SHOWN, 0.8)
+    facing = dataclasses.replace(view, depth=np.full_like(view.depth, away))
+    level = scan_level(reading_of(tmp_path / "wall", [facing]).frames, 0.01, FrameConfig())
+    assert level is not None
+    assert level.up == pytest.approx([0, 0, -1] if is_below else [0, -1, 0], abs=0.02)  # the scan's frame is the camera's
+
+
 @pytest.mark.parametrize(("away", "side"), [(0.3, 0.005), (1.0, 0.0081), (3.0, 0.02)])
 def test_voxels_are_as_fine_as_noise_and_pixels_allow(away: float, side: float) -> None:
     """At 1 m: four times 1.9 mm of noise, two and a half pixels of 2 mm."""
