@@ -41,6 +41,9 @@ _MISSED_SHARE = 0.03
 _BRIDGED_M = 1.5
 """Farther from the seen floor than this, furniture may stand in another room."""
 
+_SIGHT_M = 4.0
+"""Nor do people stand farther from the floor that they see, whose cameras look to the horizon [m]."""
+
 _BODY_M = 0.3
 """Half the width of a person with a camera [m]."""
 
@@ -290,7 +293,8 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], ha
             hulls.append(shapely.MultiPoint(points[within, :2]).convex_hull.buffer(CELL_M) if has_walls else _around(points))
     walls = cloud.points[kinds == WALL]
     walls = walls[:, :2] if has_walls else walls[_is_tall(walls), :2]
-    hulls += _standpoints(eyes, outline)
+    stood = _standpoints(eyes, outline)
+    hulls += stood
     hulls = [hull for hull in hulls if not _is_behind_wall(hull, outline, walls)]
     furniture = shapely.union_all(hulls) if hulls else shapely.Polygon()
     if furniture.difference(outline).area <= (_MISSED_SHARE if has_walls else 0.0) * outline.area:
@@ -301,7 +305,7 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], ha
     while parts:
         part = min(parts, key=lambda part: float(part.distance(room)))
         away = float(part.distance(room))
-        if away > _BRIDGED_M:
+        if away > (_SIGHT_M if any(part.intersects(body) for body in stood) else _BRIDGED_M):
             break
         near = shapely.intersection(room, part.buffer(away + 0.3))  # the floor between was not seen
         room = shapely.union_all([room, shapely.union_all([part, near]).convex_hull])
@@ -318,7 +322,7 @@ def _standpoints(eyes: Array, outline: Polygon) -> list[Polygon]:
 
     _, first = np.unique(np.floor(eyes[:, :2] / _BODY_M).astype(np.int64), axis=0, return_index=True)
     bodies = [shapely.Point(place).buffer(_BODY_M) for place in eyes[np.sort(first), :2]]
-    return [body for body in bodies if not outline.covers(body) and body.distance(outline) <= _BRIDGED_M]
+    return [body for body in bodies if not outline.covers(body) and body.distance(outline) <= _SIGHT_M]
 
 
 def _around_floor(shape: Polygon, outline: Polygon) -> Polygon | None:
