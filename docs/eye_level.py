@@ -66,11 +66,13 @@ def eye_level_pair(lake: Lake, scene: str) -> tuple[Image.Image, Image.Image]:
         raise SystemExit(f"{scene}: has no room to stand in")
     objects = [part for parts in model.objects.values() for part in parts]
     room = [part for name, parts in model.shell.items() if name != "ceiling" for part in parts]
-    numbers = np.concatenate([[k] * len(parts) for k, parts in enumerate(model.objects.values())]).astype(np.int64)
+    numbers = np.array([k for k, parts in enumerate(model.objects.values()) for _ in parts], dtype=np.int64)
     replica_rays, scan_rays = RayScene([*objects, *room]), RayScene(model.scan)
     carried = [matrix(frame.pose) for frame in lake.snapshot().rows(Frame, scene) if frame.pose is not None]
     poses = carried[:: max(1, len(carried) // PLACES)] or _poses(floor_ring(model.room))
-    pose = max(poses, key=lambda pose: _seen(replica_rays, scan_rays, numbers, pose))
+    pose = max(poses, key=lambda pose: _seen(replica_rays, scan_rays, numbers, pose), default=None)
+    if pose is None or _seen(replica_rays, scan_rays, numbers, pose) < 0.0:
+        raise SystemExit(f"{scene}: no place in it from which more than a wall or the nearest thing is seen")
     camera = Camera.with_fov(pose, LOOK.width, LOOK.height, FOV_RADIANS)
     parts = (model.scan, [*objects, *room])
     scan, replica = (Image.open(io.BytesIO(render(part, camera, LOOK))).convert("RGB") for part in parts)

@@ -149,7 +149,7 @@ class CandidateRequest:
 
     @cached_property
     def has_plain_front(self) -> bool:
-        """True if the scan shows the instance's surface and no lines on its upright sides; a drawn box shows no surface."""
+        """True if the scan shows the instance, and no lines on its upright sides or too little to tell; a drawn box shows nothing."""
         try:
             if len(self.crop.faces) == BOX_FACES:
                 return False

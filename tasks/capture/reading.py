@@ -98,7 +98,7 @@ class Reading:
     materials: Which of its textures each face of `surface` has, shape (m,) int64, where the scan names no instances and has several.
     is_modelled: Of formats that state surfaces or boxes alone: whether it is boxes, which somebody drew; see `ScanFormat`.
     levels: Storeys of scans that state them, heights in the scan frame [m]; None to find them in the geometry.
-    stated: Openings and outline of the room, where the file states them.
+    stated: Openings and outline of the room, where the file states them, and where its cameras were.
     is_dense: Vertices lie as densely as a depth sensor leaves them, so that they can stand for the surface.
     """
 

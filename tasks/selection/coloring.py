@@ -40,6 +40,12 @@ def color_histogram(rgb: ArrayLike) -> Array:
     return np.asarray(histogram / max(histogram.sum(), 1e-12))
 
 
+def is_uncolored(rgb: ArrayLike) -> bool:
+    """True if all colors, shape (n, 3) uint8, are one gray: that of a scan without colors."""
+    colors = np.asarray(rgb).reshape(-1, 3)
+    return bool((colors == colors[:1, :1]).all())
+
+
 @cache
 def _compiled() -> Kernels:
     return compile_kernels(_shared)

@@ -33,7 +33,7 @@ from tasks.alignment.measures import f_score
 from tasks.geometry.boxes import grown_box, oriented_iou
 from tasks.geometry.transforms import inverse, transform_points, translation, yaw_pose
 from tasks.mounting import mounting
-from tasks.selection.coloring import color_error, color_histogram, color_similarity
+from tasks.selection.coloring import color_error, color_histogram, color_similarity, is_uncolored
 from tasks.selection.neighbors import Neighborhood, foreign_share
 from tasks.selection.recognition import has_own_size, is_recognized, likeness_of, recognized_first
 from tasks.selection.scoring import WITHIN, ScoreConfig, finest_first, is_own_geometry, pattern_first, score_of, whole_first
@@ -254,7 +254,7 @@ def evidence_of(
     scores = finest_first(scores, [each.asset.provider for each in measured], score.finest_margin)
     is_own, kind = [each.own for each in measured], mounting(query.category).kind
     errors = None
-    if kind not in PLAIN_KINDS:
+    if kind not in PLAIN_KINDS and not is_uncolored(query.colors):
         errors = np.array([color_error(query.points, query.colors, each.placed[0], each.sample.colors) for each in measured])
     # Of what is let into a wall, strips are scanned, which a whole window cannot explain.
     least = 0.0 if kind == "let_in" else score.whole_least

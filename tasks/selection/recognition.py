@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tasks.alignment import AlignmentConfig, Fit, Sample, ScannedInstance
 from tasks.alignment.distances import disc_distances, nearest_indices
 from tasks.geometry.transforms import transform_points
-from tasks.selection.coloring import color_histogram, color_similarity
+from tasks.selection.coloring import color_histogram, color_similarity, is_uncolored
 from tasks.selection.scoring import ScoreConfig
 from tasks.views.sightlines import DepthMap, is_seen_empty
 
@@ -78,12 +78,14 @@ def likeness_of(
 
 
 def lit_similarity(scanned: NDArray[np.uint8], model: NDArray[np.uint8]) -> float:
-    """ModelLikeness of two sets of colors, 0 to 1, under the light that makes them most alike.
+    """Likeness of two sets of colors, 0 to 1, under the light that makes them most alike; 1 if the scan has no colors.
 
     Args:
         scanned: colors of the scan, shape (n, 3), which its light has changed.
         model: colors of the model, shape (m, 3).
     """
+    if is_uncolored(scanned):
+        return 1.0
     histogram = color_histogram(model)
     lit = [np.clip(scanned.astype(np.float64) * gain, 0, 255).astype(np.uint8) for gain in GAINS]
     return max(color_similarity(color_histogram(colors), histogram) for colors in lit)
@@ -111,7 +113,7 @@ def is_recognized(
 
 
 def recognized_first(scores: Array, strengths: Sequence[float], lead: float) -> Array:
-    """Scores, shape (k,), in which the strongest of the recognized models goes before all others by at least a lead.
+    """Scores, shape (k,), in which the strongest of the recognized models goes before all others by a lead, as far as scores above 0 allow.
 
     Args:
         scores: geometric scores, shape (k,).

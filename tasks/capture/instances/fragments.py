@@ -34,9 +34,9 @@ THIN_M = 0.02
 
 @dataclasses.dataclass(frozen=True)
 class FragmentConfig(Config):
-    """Which regions are fragments. Constants were chosen in wild rooms 4 to 7."""
+    """Which regions are fragments."""
 
-    wall_m2: NonNegative = 0.05  # largest scrap of a wall or of the floor; a switch or a small picture is larger
+    wall_m2: NonNegative = 0.05  # largest scrap of a wall or of the floor: 22 by 22 cm; switches are scraps, pictures are larger
     reach_m: NonNegative = 0.05  # gap across which pieces of one thing belong together; 0.03 or 0.06 changes little
     color: NonNegative = 0.5  # largest difference of their colors, in steps of `COLOR_STEP`; 0 joins nothing
     small_m2: NonNegative = 0.015  # a smaller region is a part of what it nearly touches most

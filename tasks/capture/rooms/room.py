@@ -44,6 +44,9 @@ _BRIDGED_M = 1.5
 _SIGHT_M = 4.0
 """Nor do people stand farther from the floor that they see, whose cameras look to the horizon [m]."""
 
+_EYES_M = 2.5
+"""Cameras are held lower than this above the floor [m]; others were on another storey."""
+
 _BODY_M = 0.3
 """Half the width of a person with a camera [m]."""
 
@@ -317,9 +320,10 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], ha
 
 def _standpoints(eyes: Array, outline: Polygon) -> list[Polygon]:
     """What people take of the floor who carried cameras, at shape (n, 3) [m], outside of an outline within reach; nobody stands twice in
-    half a body's width."""
+    half a body's width, nor on another storey."""
     import shapely
 
+    eyes = eyes[(eyes[:, 2] > 0.0) & (eyes[:, 2] < _EYES_M)]
     _, first = np.unique(np.floor(eyes[:, :2] / _BODY_M).astype(np.int64), axis=0, return_index=True)
     bodies = [shapely.Point(place).buffer(_BODY_M) for place in eyes[np.sort(first), :2]]
     return [body for body in bodies if not outline.covers(body) and body.distance(outline) <= _SIGHT_M]

@@ -33,7 +33,7 @@ ROOM = frozenset({"floor", "wall", "ceiling"})
 """Categories of what is part of a room."""
 
 GROUND_M = 0.02
-"""What frames see that rises no higher above the floor [m] is floor: poses that drift show it twice."""
+"""What frames see that rises no higher above the floor [m] is floor, as in meshes: rugs, and the floor itself where poses drift."""
 
 TABLE = "table"
 """Category of what carries everything in a scan without a room."""
@@ -126,7 +126,8 @@ def voted_groups(
         regions = [group.vertices for group in by_surface.groups if group.raw_label.partition(":")[2] not in ROOM]
         parts, numbers = refined(regions, [members for members, _ in instances], areas, config.refinement)
         instances = [(members, number >= 0 and instances[number][1]) for members, number in zip(parts, numbers, strict=True)]
-    for members, is_support in _without_ground(world, owner, named, instances):
+    standing = _without_ground(world, owner, named, instances)
+    for members, is_support in standing:
         owner[members] = len(named)
         points, facing, sizes = world.vertices[members], normals[members], areas[members]
         if is_support and is_table:
@@ -141,6 +142,8 @@ def voted_groups(
     objects = sum(category not in ROOM for category, _ in named)
     rows = [(str(index), f"{PROVIDER}:{category}", np.sort(members)) for index, (category, members) in enumerate(named)]
     notes = [f"instances found in the depth of {len(views)} frames: {objects} objects, categories guessed from their sizes"]
+    if (count := len(instances) - len(standing)) > 0:
+        notes.append(f"{count} regions of frames rise less than {100 * GROUND_M:.0f} cm above the floor and are part of it, as rugs are")
     if is_table:
         notes.append("cameras look at a table from close by, no floor seen: the table's top is at height 0")
     return GeometryInstances(groups_of(rows, owner, world), probabilities, tuple(notes))

@@ -76,6 +76,17 @@ def test_the_object_itself_goes_before_what_was_made_to_its_measure() -> None:
     assert rows[0].score - rows[1].score >= ScoreConfig().look_loss
 
 
+def test_a_scan_without_colors_takes_models_of_any_color() -> None:
+    rng, room = np.random.default_rng(3), Room()
+    points, colors = scan(cabinet(), np.eye(4), (1, 1, 1), rng, view=0.0)
+    instance = room.instance(points, np.full_like(colors, 180), 0.0)
+    x, y, z = (float(side) for side in instance.box_size)
+    room.candidate(instance, 1, room.asset([part((x, y, z), (0, 0, z / 2))], "copy", "procedural"), "procedural")
+    room.candidate(instance, 2, room.asset(cabinet(), "cabinet"))
+    rows, _ = room.select()
+    assert [row.slot for row in rows] == [2, 1]
+
+
 @pytest.mark.parametrize("model", [cabinet(GRAY), [part((0.46, 0.46, 0.6), (0, 0, 0.3))], chair()])
 def test_models_of_other_colors_sizes_and_shapes_are_not_recognized(model: list[trimesh.Trimesh]) -> None:
     rng, room = np.random.default_rng(4), Room()
@@ -93,6 +104,7 @@ def test_light_does_not_change_what_a_color_is() -> None:
     assert lit_similarity((colors * 0.75).astype(np.uint8), colors) > 0.85
     red, blue = np.full((100, 3), (200, 30, 30), dtype=np.uint8), np.full((100, 3), (30, 30, 200), dtype=np.uint8)
     assert lit_similarity(red, blue) < 0.1
+    assert lit_similarity(np.full((50, 3), 180, np.uint8), red) == 1.0  # the scan has no colors
 
 
 def test_recognition_wants_points_space_and_color() -> None:
