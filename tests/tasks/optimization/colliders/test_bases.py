@@ -160,6 +160,17 @@ def test_what_touches_a_wall_beside_a_bracket_at_its_level_stands_as_well(height
     assert set(remains(outcome).values()) == {None}
 
 
+def test_what_touches_a_partition_has_no_part_in_a_shelf_of_the_next_room() -> None:
+    """The partition is 15 cm thick and ends 1.5 m before the opposite wall."""
+    scene = Scene(((-2.0, -2.0), (0.0, -2.0), (0.0, 0.5), (0.15, 0.5), (0.15, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)))
+    vase = scene.add(block(0.12, 0.2, 0.3), translation([-0.2, -1.0, 1.4]), "vase")
+    rack = scene.add(block(0.12, 0.3, 0.2), translation([0.215, -0.9, 1.41]), "spice rack")
+    outcome = scene.run()
+    supports = {row.instance_id: row for row in outcome.rows["supports"]}
+    assert supports[vase].bracket_blob is not None
+    assert (supports[rack].relation, supports[rack].is_fixed, supports[rack].bracket_blob) == ("wall", True, None)
+
+
 @pytest.mark.parametrize(("height", "seen", "is_free"), [(0.85, 0.13, True), (0.5, 0.48, False), (1.6, 0.13, False)])
 def test_the_top_of_a_cabinet_stands_and_a_whole_one_on_a_wall_hangs(height: float, seen: float, is_free: bool) -> None:
     scene = Scene()
