@@ -215,7 +215,7 @@ def _lengths(places: Array, lines: Array) -> Array:
     low = int(bins.min()) if len(bins) else 0
     span = int(np.ptp(bins)) + 1 if len(bins) else 1
     pairs = np.unique((after[is_between] - 1) * span + bins - low)
-    return np.bincount(pairs // span, minlength=len(lines) - 1) * _BIN_M
+    return _BIN_M * np.bincount(pairs // span, minlength=len(lines) - 1).astype(np.float64)
 
 
 def closed(shape: Any, reach: float) -> Any:
