@@ -218,9 +218,12 @@ def along_slanted(shape: Polygon, walls: Sequence[SlantedWall], plan: FloorCells
 
 def _has_no_sides(notch: Geometry, shape: Polygon, wall: SlantedWall, wall_points: Array) -> bool:
     """True if no walls were seen along the border between a notch before a slanted wall and the floor around that notch."""
+    import shapely
     from scipy.spatial import cKDTree
 
-    border = notch.boundary.intersection(shape.exterior.buffer(1e-3))
+    # Where both only touch in a corner, the border has points next to its lines, or nothing else.
+    parts = shapely.get_parts(notch.boundary.intersection(shape.exterior.buffer(1e-3))).tolist()
+    border = shapely.MultiLineString([part for part in parts if part.geom_type == "LineString"])
     if border.is_empty or not len(wall_points):
         return False
     places = np.array([border.interpolate(at).coords[0] for at in np.arange(0.0, border.length, 0.5 * CELL_M)])

@@ -189,18 +189,33 @@ def walled(cloud: Cloud, is_wall: NDArray[np.bool_], xs: Array, ys: Array) -> ND
     for axis, across, beside in ((0, xs, ys), (1, ys, xs)):
         upright = is_wall & (np.abs(cloud.normals[:, axis]) > 0.7)
         at, along, normal = cloud.points[upright, axis], cloud.points[upright, 1 - axis], cloud.normals[upright, axis]
-        for k, m in itertools.product(range(len(across) - 1), range(len(beside) - 1)):
-            is_along = (along > beside[m]) & (along < beside[m + 1])
-            near, far = (is_along & (np.abs(at - side) < _ON_SIDE_M) for side in (across[k], across[k + 1]))
-            for own, other, facing in ((near, far, normal > 0.0), (far, near, normal < 0.0)):
-                has_wall = _length(along[own & facing]) >= _OWN_WALL_SHARE * (beside[m + 1] - beside[m])
-                is_walled[(k, m) if axis == 0 else (m, k)] |= has_wall and _length(along[other]) < _MIN_OTHER_M
+        # Lengths depend on one line and the strip along it, so every line looks at the points once.
+        lengths = []
+        for side in across:
+            is_near = np.abs(at - side) < _ON_SIDE_M
+            places, facing = along[is_near], normal[is_near]
+            lengths.append([_lengths(of_side, beside) for of_side in (places, places[facing > 0.0], places[facing < 0.0])])
+        least = _OWN_WALL_SHARE * np.diff(beside)
+        for k, ((near, near_front, _), (far, _, far_front)) in enumerate(itertools.pairwise(lengths)):
+            row = ((near_front >= least) & (far < _MIN_OTHER_M)) | ((far_front >= least) & (near < _MIN_OTHER_M))
+            is_walled[(k, slice(None)) if axis == 0 else (slice(None), k)] |= row
     return is_walled
 
 
-def _length(along: Array) -> float:
-    """Length along which points lie [m], by their places [m], shape (n,)."""
-    return len(np.unique(np.floor(along / _BIN_M))) * _BIN_M
+def _lengths(places: Array, lines: Array) -> Array:
+    """Lengths along which points lie between consecutive lines [m], shape (k - 1,).
+
+    Args:
+        places: places of the points along an axis [m], shape (n,).
+        lines: positions of the lines on that axis, sorted [m], shape (k,).
+    """
+    after = np.searchsorted(lines, places)
+    is_between = (after > 0) & (after < len(lines)) & (places < lines[np.minimum(after, len(lines) - 1)])
+    bins = np.floor(places[is_between] / _BIN_M).astype(np.int64)
+    low = int(bins.min()) if len(bins) else 0
+    span = int(np.ptp(bins)) + 1 if len(bins) else 1
+    pairs = np.unique((after[is_between] - 1) * span + bins - low)
+    return _BIN_M * np.bincount(pairs // span, minlength=len(lines) - 1).astype(np.float64)
 
 
 def closed(shape: Any, reach: float) -> Any:

@@ -39,6 +39,9 @@ SLICE_M = 0.05
 FOOT_M = 0.01
 """The part of a base that is this near to the carrier [m] is what the object stands on."""
 
+FOOT_SHARE = 0.5
+"""Minimum share of the foot of a leaning object that is free: on a smaller stub the object would turn and fall."""
+
 CLEAR_M = 0.001
 """Gap between a base and what is beside it [m]."""
 
@@ -186,10 +189,19 @@ def _base(standing: _Standing, placed: Sequence[Sequence[Hull]], i: int, parent:
         if not (k == parent and float(other.vertices[:, 2].max()) <= level + HIGH_M)  # it carries the base
     ]
     parts = apart_from(hull, around, CLEAR_M)
-    feet = [part.vertices[part.vertices[:, 2] <= level + FOOT_M][:, :2] for part in parts]
-    if not parts or (up is None and not holds(np.concatenate(feet), standing.center[:2])):
+    if not parts:
         return []
-    return parts
+    if up is not None:
+        # Its center of mass is beside its foot, between that and the wall.
+        return parts if _foot_volume(parts, level) >= FOOT_SHARE * _foot_volume([hull], level) else []
+    feet = [part.vertices[part.vertices[:, 2] <= level + FOOT_M][:, :2] for part in parts]
+    return parts if holds(np.concatenate(feet), standing.center[:2]) else []
+
+
+def _foot_volume(parts: Sequence[Hull], level: float) -> float:
+    """Volume of convex parts within `FOOT_M` of a height [m], in m^3."""
+    feet = (beyond(part, DOWN, -(level + FOOT_M)) for part in parts)
+    return sum(foot.volume for foot in feet if foot is not None)
 
 
 def _rests_on(name: str, other: str, below: Mapping[str, str | None]) -> bool:

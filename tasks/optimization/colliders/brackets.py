@@ -103,7 +103,9 @@ def _plates_and_boards(hulls: Sequence[Hull], center: Array, face: WallFace, aro
 def _is_mate(obj: PlacedAsset, face: WallFace, bracket: ConvexParts) -> bool:
     """True if an object at a wall ends at the level of a bracket beside it there: both stood on one shelf."""
     vertices = np.concatenate([hull.vertices for hull in bracket.hulls])
-    if abs(float(vertices[:, 2].max() - obj.low[2])) > LEVEL_M or float(((vertices[:, :2] - face.start) @ face.inward).min()) > SIDE_M:
+    # A board behind the face is at another wall, as on the other side of a partition.
+    off = float(((vertices[:, :2] - face.start) @ face.inward).min())
+    if abs(float(vertices[:, 2].max() - obj.low[2])) > LEVEL_M or abs(off) > SIDE_M:
         return False
     own, other = (obj.plan_points - face.start) @ face.along, (vertices[:, :2] - face.start) @ face.along
     return bool(max(own.min() - other.max(), other.min() - own.max()) <= MOST_APART_M)

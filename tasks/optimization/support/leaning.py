@@ -26,8 +26,11 @@ MOST_LEAN_RADIANS = 0.5
 """29 degrees [rad]: what leans by more slides down, or lies."""
 
 FLAT = 0.5
-"""The spread of a flat thing across its plane is at most so much of the smaller one within it, and that of a long thing across its axis
-of the one along it."""
+"""The spread of a flat thing across its plane is at most so much of the smaller one within it."""
+
+LONG = 0.2
+"""The larger spread of a long thing across its axis is at most so much of the one along it. A pole that was seen from one side is flat as
+well, but its plane turns with the side that was seen; its axis does not."""
 
 TOWARDS = 0.5
 """Cosine of the greatest angle between the way in which something leans and the way to the wall: 60 degrees, more than in a corner."""
@@ -59,17 +62,16 @@ def lean_of_points(points: Array, weights: Array) -> Lean | None:
     away = points - np.average(points, axis=0, weights=weights)
     values, axes = np.linalg.eigh((away * weights[:, None]).T @ away / weights.sum())
     spread = np.sqrt(np.maximum(values, 0.0))
-    if spread[0] <= FLAT * spread[1]:
+    if spread[1] <= LONG * spread[2] and spread[2] > 0.0:
+        up = axes[:, 2] * np.sign(axes[2, 2])
+    elif spread[0] <= FLAT * spread[1]:
         normal = axes[:, 0]
         up = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
-    elif spread[1] <= FLAT * spread[2]:
-        up = axes[:, 2] * np.sign(axes[2, 2])
+        up /= max(float(np.linalg.norm(up)), 1e-12)
     else:
         return None
-    length = float(np.linalg.norm(up))
-    if length < math.cos(MOST_LEAN_RADIANS):
+    if float(up[2]) < math.cos(MOST_LEAN_RADIANS):
         return None
-    up = up / length
     return Lean(up, math.acos(min(1.0, float(up[2]))))
 
 

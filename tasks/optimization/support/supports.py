@@ -31,8 +31,8 @@ class SupportConfig(Config):
 
     reach_m: NonNegative = 0.10  # scans bleed and boxes are a few centimetres off; a gap beyond this is a gap
     drop_m: NonNegative = 0.5  # legs are often too thin for a scan: what nothing carries and is this low was standing on what lies below
-    stand_drop_m: NonNegative = 1.0  # as drop_m, for what never hangs: nothing else explains it; most_drop_m bounds both
-    most_drop_m: NonNegative = 0.3  # bounds drop_m and stand_drop_m: what would come down farther keeps its place and is named
+    stand_drop_m: NonNegative = 1.0  # as drop_m, for what never hangs; colliders of what nothing carries reach down so far, too
+    most_drop_m: NonNegative = 0.3  # bounds both drops: an object farther up keeps its place, and gets a base, a bracket or a remark
     sunk_m: NonNegative = 0.2  # what nothing carries within reach may have sunk this deep: the object and its carrier are both off
     base_m: Positive = 0.02  # feet and rims within this of the lowest point are what an object stands on
     share: Share = 0.3  # of the base over a surface: less, and the center of mass may be past the edge

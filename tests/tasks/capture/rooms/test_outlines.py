@@ -8,6 +8,8 @@ import shapely
 
 from tasks.capture.cloud import Cloud
 from tasks.capture.labels import WALL
+from tasks.capture.rooms.directions import SlantedWall
+from tasks.capture.rooms.outline import _has_no_sides
 from tasks.capture.rooms.passages import passages
 from tasks.capture.rooms.room import RoomShape, estimate_room, wall_points
 from tests.tasks.capture.rooms.cut_rooms import HEIGHT_M, Gap, Ring, cut_cloud
@@ -169,3 +171,21 @@ def test_a_framed_gap_with_a_glimpse_of_floor_behind_it_is_a_passage(is_framed: 
     shape = estimate_room(cloud, classes)
     free = passages(cloud, wall_points(cloud, classes), shape.polygon, shape.height)
     assert len(free) == is_framed
+
+
+@pytest.mark.parametrize(
+    "notch",
+    [
+        shapely.Polygon([(2.001, 1.0), (2.5, 1.2), (2.5, 0.8)]),
+        shapely.union_all([shapely.Polygon([(2.001, y), (2.5, y + 0.2), (2.5, y - 0.2)]) for y in (0.5, 1.5)]),
+        shapely.union_all([shapely.box(2.0, 0.0, 2.5, 0.5), shapely.Polygon([(2.001, 1.0), (2.5, 1.2), (2.5, 0.8)])]),
+    ],
+    ids=["point", "points", "lines and a point"],
+)
+def test_a_notch_that_touches_the_floor_in_a_corner_has_a_border_of_lines_alone(notch: shapely.Geometry) -> None:
+    wall = SlantedWall(np.array([4.0, 0.0]), np.array([0.0, 4.0]), np.array([-1.0, -1.0]) / np.sqrt(2.0), 2.0)
+    floor = shapely.box(0.0, 0.0, 2.0, 2.0)
+    has_line = notch.distance(floor) == 0.0
+    walls = np.column_stack([np.full(60, 2.0), np.linspace(0.0, 0.5, 60)])
+    assert _has_no_sides(notch, floor, wall, walls) is False
+    assert _has_no_sides(notch, floor, wall, walls + 5.0) is has_line

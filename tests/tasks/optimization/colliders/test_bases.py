@@ -45,17 +45,28 @@ def test_no_base_reaches_into_what_lies_below() -> None:
     assert remains(outcome)[toy] is not None
 
 
-@pytest.mark.parametrize(("lean", "is_free"), [(0.15, True), (0.0, False), (-0.15, False)])
-def test_what_leans_at_a_wall_stands_and_what_is_upright_hangs(lean: float, is_free: bool) -> None:
-    """A picture of which the lowest 15 cm were not seen, its top at a wall."""
-    scene = Scene()
+def add_picture(scene: Scene, lean: float, bottom: float) -> str:
+    """Add a picture whose top is at the wall x = -2 and return its instance.
+
+    Args:
+        scene: the scene under construction.
+        lean: angle between the picture and the vertical, positive towards the wall [rad].
+        bottom: height of its lowest part [m].
+    """
     parts = solid(((0.03, 0.6, 0.7), (0, 0, 0)))
     tilt = np.eye(4)
     tilt[:3, :3] = [[np.cos(lean), 0, -np.sin(lean)], [0, 1, 0], [np.sin(lean), 0, np.cos(lean)]]
     parts[0].apply_transform(tilt)
     low, high = parts[0].bounds
     parts[0].apply_translation([-0.5 * (low[0] + high[0]), 0.0, -low[2]])
-    picture = scene.add(parts, translation([-2.0 + 0.5 * (high[0] - low[0]) + 0.002, 0.0, 0.15]), "picture")
+    return scene.add(parts, translation([-2.0 + 0.5 * (high[0] - low[0]) + 0.002, 0.0, bottom]), "picture")
+
+
+@pytest.mark.parametrize(("lean", "is_free"), [(0.15, True), (0.0, False), (-0.15, False)])
+def test_what_leans_at_a_wall_stands_and_what_is_upright_hangs(lean: float, is_free: bool) -> None:
+    """A picture of which the lowest 15 cm were not seen, its top at a wall."""
+    scene = Scene()
+    picture = add_picture(scene, lean, 0.15)
     outcome = scene.run()
     support = next(row for row in outcome.rows["supports"] if row.instance_id == picture)
     assert (support.relation, support.is_fixed) == (("floor", False) if is_free else ("wall", True))
@@ -63,6 +74,18 @@ def test_what_leans_at_a_wall_stands_and_what_is_upright_hangs(lean: float, is_f
     if is_free:
         assert collider_bounds(outcome, scene)[picture][0, 2] == pytest.approx(0.0, abs=1e-3)
         assert poses_of(outcome)[picture][:3, 3] == pytest.approx(poses_of(outcome, "proposed")[picture][:3, 3], abs=0.02)
+
+
+def test_a_picture_whose_foot_would_be_in_a_box_gets_no_stub() -> None:
+    """Its base would end in the box before it, above the floor."""
+    scene = Scene()
+    picture = add_picture(scene, 0.35, 0.45)
+    scene.add(block(0.3, 0.8, 0.44), translation([-1.5, 0.0, 0.0]), "box")
+    outcome = scene.run()
+    support = next(row for row in outcome.rows["supports"] if row.instance_id == picture)
+    assert not support.is_inferred
+    assert poses_of(outcome)[picture] == pytest.approx(poses_of(outcome, "proposed")[picture], abs=0.01)
+    assert remains(outcome)[picture] is None
 
 
 @pytest.mark.parametrize("category", ["tv", "camera"])
@@ -135,6 +158,17 @@ def test_what_touches_a_wall_beside_a_bracket_at_its_level_stands_as_well(height
     support = next(row for row in outcome.rows["supports"] if row.instance_id == rack)
     assert (support.is_fixed, support.bracket_blob is not None) == (not is_free, is_free)
     assert set(remains(outcome).values()) == {None}
+
+
+def test_what_touches_a_partition_has_no_part_in_a_shelf_of_the_next_room() -> None:
+    """The partition is 15 cm thick and ends 1.5 m before the opposite wall."""
+    scene = Scene(((-2.0, -2.0), (0.0, -2.0), (0.0, 0.5), (0.15, 0.5), (0.15, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)))
+    vase = scene.add(block(0.12, 0.2, 0.3), translation([-0.2, -1.0, 1.4]), "vase")
+    rack = scene.add(block(0.12, 0.3, 0.2), translation([0.215, -0.9, 1.41]), "spice rack")
+    outcome = scene.run()
+    supports = {row.instance_id: row for row in outcome.rows["supports"]}
+    assert supports[vase].bracket_blob is not None
+    assert (supports[rack].relation, supports[rack].is_fixed, supports[rack].bracket_blob) == ("wall", True, None)
 
 
 @pytest.mark.parametrize(("height", "seen", "is_free"), [(0.85, 0.13, True), (0.5, 0.48, False), (1.6, 0.13, False)])
