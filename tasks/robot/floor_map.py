@@ -103,7 +103,10 @@ class Floor:
 
 
 def floor_of(replica: Replica, cart: Cart, lidar: Lidar, carriers: Mapping[str, str | None]) -> Floor:
-    """The floor of a replica; doors are open, and the lidar sees no brackets. carriers: By instance, the instance that carries it, None for what floor or walls do."""
+    """The floor of a replica; doors are open, and the lidar sees no brackets.
+
+    carriers: By instance, the instance that carries it, None for what floor or walls do.
+    """
     import shapely
 
     from tasks.exports.nav2 import is_door

@@ -88,8 +88,8 @@ def test_brackets_of_supports_are_static_parts_of_the_exported_room(tmp_path: Pa
     settings = json.loads(next((tmp_path / "habitat").rglob("*.stage_config.json")).read_text())
     assert settings["render_asset"] != settings["collision_asset"]
     for key, parts in (("render_asset", replica.shell), ("collision_asset", (*replica.shell, *replica.brackets))):
-        file = tmp_path / "habitat" / "stages" / settings[key]
-        assert {node["name"] for node in open_glb(file.read_bytes(), file.name)[0]["nodes"] if "mesh" in node} == {part for part, _ in parts}
+        nodes = open_glb((tmp_path / "habitat" / "stages" / settings[key]).read_bytes(), settings[key])[0]["nodes"]
+        assert {node["name"] for node in nodes if "mesh" in node} == {part for part, _ in parts}
     path = next((tmp_path / "mjcf").rglob("scene.xml"))
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.geom_group[model.geom_bodyid == model.body(f"room_{name}").id].tolist() == [3]
