@@ -5,7 +5,10 @@ from __future__ import annotations
 from schemas.record import INSTANCE_PATTERN, SCENE_PATTERN, column, record
 
 BODY_PATTERN = r"[0-9]{4,}|floor|ceiling|(wall|inner)_[0-9]{2,}|bracket_[0-9]{4,}"
-"""An instance, or a part of the room's shell as exports name it: `floor`, `wall_00`, `inner_00`; `bracket_0012` carries instance 0012."""
+"""An instance, or a part of the room as exports name it: `floor`, `wall_00`, `inner_00`, or `bracket_0012`, which carries instance 0012."""
+
+AGAINST_PATTERN = r"ceiling|(wall|inner)_[0-9]{2,}"
+"""A part of the room that something hangs on or stands against."""
 
 RELATIONS = ("floor", "on", "inside", "wall", "ceiling", "none")
 """How an object can be carried."""
@@ -94,10 +97,12 @@ class Support:
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     instance_id: str = column("Carried instance", pattern=INSTANCE_PATTERN)
     relation: str = column(
-        "How it is carried: 'inside' is a compartment or container of the parent, 'wall' and 'ceiling' are hanging", values=RELATIONS
+        "How it is carried: 'inside' is a compartment or container of the parent, 'wall' and 'ceiling' are hanging; 'none': nothing, or a "
+        "bracket at a wall (bracket_blob)",
+        values=RELATIONS,
     )
     parent_id: str | None = column("Carrying instance for 'on' and 'inside'", pattern=INSTANCE_PATTERN)
-    against: str | None = column("Part of the room that it hangs on or stands against", pattern=BODY_PATTERN)
+    against: str | None = column("Part of the room that it hangs on or stands against", pattern=AGAINST_PATTERN)
     gap_m: float = column("Height of the proposed asset's bottom above what carries it; negative when it sinks in", unit="m")
     is_fixed: bool = column(
         "Fastened to the room: it hangs on a wall or ceiling, is built in, or is a fitted kitchen's; all else is free to move"
@@ -121,7 +126,7 @@ class Contact:
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     phase: str = column("Pose that was tested", values=("proposed", "optimized"))
     instance_a: str = column("First instance of the pair, the smaller id", pattern=INSTANCE_PATTERN)
-    body_b: str = column("Second instance of the pair, or a part of the room: floor, wall_00, inner_00", pattern=BODY_PATTERN)
+    body_b: str = column("Second instance of the pair, or a part of the room: floor, wall_00, inner_00, bracket_0012", pattern=BODY_PATTERN)
     box_overlap_m3: float = column("Volume of the overlap of the axis-aligned boxes; 0 for parts of the room", unit="m3", minimum=0)
     penetration_m: float = column(
         "Penetration depth of the convex pieces, the deepest pair of pieces; 0 when only the boxes overlap", unit="m", minimum=0

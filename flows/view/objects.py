@@ -142,7 +142,8 @@ def _standing(row: Placement | None, support: Support | None, certificates: Sequ
     if support is not None:
         carrier = support.parent_id or (support.against if support.relation in ("wall", "ceiling") else "") or ""
         against = f", against {support.against}" if support.against and support.against != carrier else ""
-        facts.append(["carried by", f"{support.relation} {carrier}".strip() + against])
+        relation = "bracket" if support.bracket_blob is not None else support.relation
+        facts.append(["carried by", f"{relation} {carrier}".strip() + against])
         facts.append(["may move", "no, it is fastened" if support.is_fixed else "yes"])
     for issued in certificates:
         verdict = "stays" if issued.is_stable_1cm else "stays within 5 cm" if issued.is_stable_5cm else "does not stay"

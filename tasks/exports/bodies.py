@@ -98,8 +98,8 @@ class Replica:
     """A scene ready to be written: its room and its bodies, sorted by instance.
 
     room: The row of `shells`: what encloses the scene's rooms together.
-    shell: The parts of that by name, world frame [m]: `tasks.shell.room_shell`, with the images that the scan gave them, and the boards at
-    walls that carry what nothing seen does.
+    shell: The parts of that by name, world frame [m]: `tasks.shell.room_shell`, with the images that the scan gave them.
+    brackets: Convex boards at walls by name, world frame [m]. They carry what nothing seen does. They collide and are never seen.
     """
 
     scene_id: str
@@ -108,6 +108,7 @@ class Replica:
     bodies: tuple[Body, ...]
     license: str
     shell: tuple[tuple[str, trimesh.Trimesh], ...]
+    brackets: tuple[tuple[str, trimesh.Trimesh], ...] = ()
 
 
 def stem(scene_id: str) -> str:
@@ -170,8 +171,8 @@ def gather(
             missed.append(f"{placement.instance_id}: no caption; mass from a density of {config.default_density_kg_m3:g} kg/m3")
         is_fixed = placement.instance_id in fixed
         bodies.append(_body(placement, shapes[key], by_instance.get(placement.instance_id), caption, is_fixed, config))
-    shell = [*textured(room_shell(room, config.shell), surfaces, blobs), *_brackets(supports, blobs)]
-    return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), stated(scans.get(room.scene_id)), tuple(shell)), missed
+    shell, brackets = tuple(textured(room_shell(room, config.shell), surfaces, blobs)), tuple(_brackets(supports, blobs))
+    return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), stated(scans.get(room.scene_id)), shell, brackets), missed
 
 
 def _brackets(supports: Sequence[Support], blobs: Mapping[str, bytes]) -> list[tuple[str, trimesh.Trimesh]]:

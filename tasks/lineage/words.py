@@ -141,14 +141,16 @@ def _placement(key: str, facts: Facts) -> list[str]:
 
 
 def _support(key: str, facts: Facts) -> list[str]:
-    carrier, against = facts["parent_id"] or "", facts["against"] or ""
-    if facts["relation"] == "floor":
+    relation, carrier, against = facts["relation"], facts["parent_id"] or "", facts["against"] or ""
+    if relation == "none" and facts["bracket_blob"] is not None:
+        relation, carrier = "bracket", f"at {against or UNRECORDED}"
+    elif relation == "floor":
         carrier = f"against {against}" if against else ""
-    elif facts["relation"] != "none":
+    elif relation != "none":
         carrier = carrier or against or UNRECORDED
     kind = "fixed" if facts["is_fixed"] else "free to move"
     kept = "" if facts["is_kept"] else ", by something else after the optimization"
-    return [f"{facts['relation']} {carrier}".strip() + f", gap {scaled(facts['gap_m'], 1e3)} mm, {kind}{kept}"]
+    return [f"{relation} {carrier}".strip() + f", gap {scaled(facts['gap_m'], 1e3)} mm, {kind}{kept}"]
 
 
 def _moves(key: str, facts: Facts) -> list[str]:

@@ -103,7 +103,10 @@ class Floor:
 
 
 def floor_of(replica: Replica, cart: Cart, lidar: Lidar, carriers: Mapping[str, str | None]) -> Floor:
-    """The floor of a replica; doors are open. carriers: By instance, the instance that carries it, None for what floor or walls do."""
+    """The floor of a replica; doors are open, and the lidar sees no brackets.
+
+    carriers: By instance, the instance that carries it, None for what floor or walls do.
+    """
     import shapely
 
     from tasks.exports.nav2 import is_door
@@ -113,10 +116,11 @@ def floor_of(replica: Replica, cart: Cart, lidar: Lidar, carriers: Mapping[str, 
 
     bodies = {body.instance_id: body for body in replica.bodies if not is_door(body.category)}
     surfaces = {name: surface_of(body.shape.parts).transformed(body.pose) for name, body in bodies.items()}
-    surfaces |= {name: surface_of([part]) for name, part in replica.shell if name != "floor"}
+    surfaces |= {name: surface_of([part]) for name, part in (*replica.shell, *replica.brackets) if name != "floor"}
+    unseen = {name for name, _ in replica.brackets}
     climbed = {name: climbed_m(bodies[name].category, cart) if name in bodies else cart.climb_m for name in surfaces}
     obstacles = {name: footprint(surface, climbed[name], cart.height_m) for name, surface in surfaces.items()}
-    plane = {name: cut(surface.to_trimesh(), lidar.height_m) for name, surface in surfaces.items()}
+    plane = {name: cut(surface.to_trimesh(), lidar.height_m) for name, surface in surfaces.items() if name not in unseen}
     envelopes = {name: _envelope(surface) for name, surface in surfaces.items()}
     known = {name: carrier for name, carrier in carriers.items() if carrier is not None and name in bodies}
     flat = {name for name in bodies if envelopes[name].high <= climbed[name]}

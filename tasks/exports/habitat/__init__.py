@@ -86,18 +86,31 @@ def habitat_files(
 
 
 def _stage_files(handle: str, replica: Replica, config: ExportsConfig) -> list[File]:
-    """Floor, walls and lamps."""
-    shell = replica.shell
+    """Floor, walls and lamps. Where there are brackets, the stage collides by a file of its own, which has them, too."""
+    shell, stage = replica.shell, f"{handle}.glb"
+    collision = f"{handle}.collider.glb" if replica.brackets else stage
     settings = {
-        "render_asset": f"{handle}.glb", "collision_asset": f"{handle}.glb", **UPRIGHT, "origin": [0, 0, 0], "scale": [1, 1, 1],
+        "render_asset": stage, "collision_asset": collision, **UPRIGHT, "origin": [0, 0, 0], "scale": [1, 1, 1],
         "units_to_meters": 1, "gravity": [0, -config.habitat.gravity_m_s2, 0], "is_collidable": True, "margin": MARGIN_M,
         "friction_coefficient": config.room_friction, "restitution_coefficient": config.room_restitution,
     }  # fmt: skip
-    return [
-        File(f"stages/{handle}.glb", aimed_glb(dump_glb([mesh for _, mesh in shell], [name for name, _ in shell])), "stage"),
+    files = [
+        File(f"stages/{stage}", aimed_glb(dump_glb([mesh for _, mesh in shell], [name for name, _ in shell])), "stage"),
         File(f"stages/{handle}.stage_config.json", dump_json(settings), "stage"),
         File(f"lights/{light_handle(handle)}.lighting_config.json", dump_json(_lights(replica)), "stage"),
     ]
+    if replica.brackets:
+        files.append(File(f"stages/{collision}", _stage_collider(replica), "stage"))
+    return files
+
+
+def _stage_collider(replica: Replica) -> bytes:
+    """Shell and brackets as a GLB with one node each, without looks."""
+    import trimesh
+
+    parts = [*replica.shell, *replica.brackets]
+    bare = [trimesh.Trimesh(part.vertices, part.faces, process=False) for _, part in parts]
+    return aimed_glb(dump_glb(bare, [name for name, _ in parts]))
 
 
 def light_handle(handle: str) -> str:

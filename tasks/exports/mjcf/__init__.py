@@ -142,7 +142,7 @@ def _lights(world: Element, replica: Replica) -> None:
 def _room(
     world: Element, assets: Element, files: dict[str, bytes], replica: Replica, settings: Mujoco, config: ExportsConfig
 ) -> None:  # fmt: skip
-    """The floor as a plane, the walls as static bodies. A plane has no edge and no depth to fall through."""
+    """The floor as a plane, walls and brackets as static bodies. A plane has no edge and no depth to fall through."""
     rubs = numbers(friction_of(0.0, settings))
     ElementTree.SubElement(world, "geom", {"name": "room_floor", "class": "collision", "type": "plane", "size": "0 0 1", "friction": rubs})
     for name, part in replica.shell:
@@ -158,6 +158,10 @@ def _room(
         _mesh(assets, f"room_{name}_hull_00", hull)
         _collide(body, f"room_{name}", f"room_{name}", 1, rubs)
         _add_visuals(body, f"room_{name}", seen)
+    for name, board in replica.brackets:
+        body = ElementTree.SubElement(world, "body", name=f"room_{name}")
+        _mesh(assets, f"room_{name}_hull_00", Hull(np.asarray(board.vertices, np.float64), np.asarray(board.faces, np.int64)))
+        _collide(body, f"room_{name}", f"room_{name}", 1, rubs)
 
 
 def _shape(assets: Element, files: dict[str, bytes], shape: Shape) -> list[dict[str, str]]:

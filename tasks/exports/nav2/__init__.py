@@ -92,11 +92,11 @@ def nav2_files(replica: Replica, navmeshes: Mapping[str, tuple[Navmesh, float]],
 
 
 def _shell_outlines(replica: Replica, config: Nav2Config) -> tuple[list[shapely.Geometry], shapely.Geometry]:
-    """Walls between the map's heights, and the floor's slab, which reaches below them, seen from above, world frame [m]."""
+    """Walls and brackets between the map's heights, and the floor's slab, which reaches below them, seen from above, world frame [m]."""
     from tasks.geometry.meshes import surface_of
 
     walls, slab = [], None
-    for name, part in replica.shell:
+    for name, part in (*replica.shell, *replica.brackets):
         surface = surface_of([part])
         if name == "floor":
             slab = _exact(surface, -np.inf, np.inf)

@@ -104,7 +104,7 @@ def _lights(world: Element, replica: Replica) -> None:
 
 
 def _room(world: Element, files: dict[str, bytes], replica: Replica, config: ExportsConfig) -> None:
-    """Floor and walls as one static model of one link: Bullet wants no more of a model without joints.
+    """Floor, walls and brackets as one static model of one link: Bullet wants no more of a model without joints.
 
     The floor collides as a plane, which has no edge and no depth to fall through.
 
@@ -115,8 +115,10 @@ def _room(world: Element, files: dict[str, bytes], replica: Replica, config: Exp
     model = ElementTree.SubElement(world, "model", name="room")
     ElementTree.SubElement(model, "static").text = "1"  # Bullet reads no other word
     link = ElementTree.SubElement(model, "link", name=_LINK)
-    for name, part in replica.shell:
-        _visuals(link, _seen(files, f"room_{name}", painted_part(part)), f"{name}_")
+    visible = {name for name, _ in replica.shell}
+    for name, part in (*replica.shell, *replica.brackets):
+        if name in visible:
+            _visuals(link, _seen(files, f"room_{name}", painted_part(part)), f"{name}_")
         if name == "floor":
             plane = ElementTree.SubElement(_collision(link, f"{name}_plane", friction, config.room_restitution), "plane")
             _put(plane, "normal", [0.0, 0.0, 1.0])

@@ -67,15 +67,17 @@ def _object(body: Body, meshes: _Meshes) -> bytes:
 
 
 def _room(files: dict[str, bytes], replica: Replica, config: ExportsConfig) -> bytes:
-    """The URDF of the room: floor and walls as links that are fixed to one without a body."""
+    """The URDF of the room: floor, walls and brackets, which nobody sees, as links that are fixed to one without a body."""
     robot = _robot("room")
     ElementTree.SubElement(robot, "link", name="room")
-    for name, part in replica.shell:
+    visible = {name for name, _ in replica.shell}
+    for name, part in (*replica.shell, *replica.brackets):
         # a floor with inner corners gets the hull of its slab: what that adds lies outside the room, below z = 0
         hull = f"meshes/room_{name}_hull_00.obj"
         files[hull] = dump_obj(*_hull_of(np.asarray(part.vertices, dtype=np.float64)))
         link = ElementTree.SubElement(robot, "link", name=f"room_{name}")
-        _geometry(link, _Meshes(obj_files(files, f"room_{name}", painted_part(part)), (hull,)))
+        seen = obj_files(files, f"room_{name}", painted_part(part)) if name in visible else ()
+        _geometry(link, _Meshes(seen, (hull,)))
         _contact(link, config.room_friction, config.room_restitution)
         joint = ElementTree.SubElement(robot, "joint", name=f"room_{name}", type="fixed")
         ElementTree.SubElement(joint, "parent", link="room")

@@ -65,7 +65,7 @@ def write_usd(root: Path, replica: Replica, config: ExportsConfig) -> Path:
 
 
 def _write_room(folder: Path, replica: Replica, config: ExportsConfig) -> None:
-    """Floor, walls and a ceiling that was asked for: static colliders without a rigid body."""
+    """Floor, walls, a ceiling that was asked for, and brackets, which nobody sees: static colliders without a rigid body."""
     from pxr import Kind, Usd, UsdGeom, UsdShade
 
     folder.mkdir()
@@ -90,17 +90,27 @@ def _write_room(folder: Path, replica: Replica, config: ExportsConfig) -> None:
         add_collider(geometry, f"{path}/Collider", hull)
         part = stage.OverridePrim(path)
         Usd.ModelAPI(part).SetKind(Kind.Tokens.component)
-        kind = name if name in ("floor", "ceiling") else "shelf" if name.startswith("bracket_") else "wall"
+        kind = name if name in ("floor", "ceiling") else "wall"
         label(part, {"class": [kind], "category": [kind]})
         UsdGeom.Scope.Define(stage, f"{path}/Looks")
         paint = f"{path}/Looks/Paint"
         look = add_color_material(stage, paint) if texture is None else add_texture_material(stage, paint, texture)
         UsdShade.MaterialBindingAPI.Apply(stage.OverridePrim(f"{path}/Visual")).Bind(look)
-        collider = stage.OverridePrim(f"{path}/Collider")
-        make_collider(collider)
-        bind_physics(collider, add_physics_material(stage, f"{path}/PhysicsMaterial", config.room_friction, config.room_restitution))
+        _make_static(stage, path, config)
+    for name, board in replica.brackets:  # no components and without labels: these are what can be seen
+        path = f"/Room/{name.capitalize()}"
+        UsdGeom.Xform.Define(geometry, path)
+        add_collider(geometry, f"{path}/Collider", convex_hull(np.asarray(board.vertices, dtype=np.float64), config.pieces))
+        _make_static(stage, path, config)
     geometry.GetRootLayer().Save()
     stage.GetRootLayer().Save()
+
+
+def _make_static(stage: Any, path: str, config: ExportsConfig) -> None:
+    """Let the collider of a part of the room collide, with the room's friction and restitution."""
+    collider = stage.OverridePrim(f"{path}/Collider")
+    make_collider(collider)
+    bind_physics(collider, add_physics_material(stage, f"{path}/PhysicsMaterial", config.room_friction, config.room_restitution))
 
 
 def _write_scene(path: Path, replica: Replica, first: dict[str, Body], config: ExportsConfig) -> None:

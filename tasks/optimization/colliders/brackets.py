@@ -80,7 +80,7 @@ def with_brackets(
         back = inverse(poses[i])
         solids[i] = ConvexParts(solids[i].name, tuple(hull.transformed(back) for hull in placed[i]))
         brackets.append(ConvexParts(f"{BRACKET}{obj.instance_id}", tuple(boards)))
-        carriers[obj.instance_id] = Carrier("none", None, float(obj.low[2]), 0.0, contact.face.name, is_inferred=True)
+        carriers[obj.instance_id] = Carrier("none", None, 0.0, 0.0, contact.face.name, is_inferred=True)
     return solids, carriers, brackets
 
 

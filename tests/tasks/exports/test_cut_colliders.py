@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import pytest
-from pxr import Usd, UsdPhysics
+from pxr import Usd, UsdGeom, UsdPhysics
 
 from schemas.capture import Scene as SceneRow
+from tasks.containers import open_glb
 from tasks.exports.bodies import gather
 from tasks.exports.config import ExportsConfig
 from tasks.exports.files import write_folder
@@ -49,7 +52,7 @@ def test_pieces_of_a_placement_alone_are_those_of_the_exported_body() -> None:
 
 
 def test_brackets_of_supports_are_static_parts_of_the_exported_room(tmp_path: Path) -> None:
-    """What stands on a shelf that no scan shows stays there in exported files as in its certificate."""
+    """What stands on a shelf that no scan shows stays there in exported files as in its certificate; nobody sees the shelf."""
     scene = Scene()
     vase = scene.add(block(0.12, 0.2, 0.3), translation([-1.8, 0.3, 1.4]), "vase")
     outcome = scene.run()
@@ -58,7 +61,9 @@ def test_brackets_of_supports_are_static_parts_of_the_exported_room(tmp_path: Pa
         outcome.rows["placements"], outcome.rows["supports"], {**scene.blobs, **outcome.blobs}, ExportsConfig(),
     )  # fmt: skip
     assert missed == []
-    (board,) = [mesh for name, mesh in replica.shell if name == f"bracket_{vase}"]
+    ((name, board),) = replica.brackets
+    assert name == f"bracket_{vase}"
+    assert name not in dict(replica.shell)
     assert board.bounds[1][2] == pytest.approx(1.4, abs=1e-4)
     for export_format in FORMATS:
         export = export_format.make(ExportedScene(replica, (), (), {}, ExportsConfig()))
@@ -69,8 +74,25 @@ def test_brackets_of_supports_are_static_parts_of_the_exported_room(tmp_path: Pa
     stage = Usd.Stage.Open(str(next((tmp_path / "usd").rglob("scene.usda"))))
     assert stage.GetPrimAtPath(f"/World/Room/Bracket_{vase}/Collider").HasAPI(UsdPhysics.CollisionAPI)
     assert not stage.GetPrimAtPath(f"/World/Room/Bracket_{vase}").HasAPI(UsdPhysics.RigidBodyAPI)
+    meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh) and f"Bracket_{vase}" in str(prim.GetPath())]
+    assert [UsdGeom.Imageable(prim).ComputePurpose() for prim in meshes] == [UsdGeom.Tokens.guide], "nothing of it is drawn"
+    urdf = ElementTree.parse(next((tmp_path / "urdf").rglob("room.urdf")))
+    (link,) = urdf.iterfind(f"link[@name='room_{name}']")
+    assert (len(link.findall("collision")), len(link.findall("visual"))) == (1, 0)
+    world = ElementTree.parse(next((tmp_path / "sdf").rglob("*.sdf"))).getroot()
+    (room,) = world.iterfind("world/model[@name='room']/link")
+    assert len([part for part in room.iterfind("collision") if name in part.attrib["name"]]) == 1
+    assert not [part for part in room.iterfind("visual") if name in part.attrib["name"]]
+    (file,) = (tmp_path / "glb").rglob("*.glb")
+    assert not [node for node in open_glb(file.read_bytes(), file.name)[0]["nodes"] if "bracket" in node["name"]]
+    settings = json.loads(next((tmp_path / "habitat").rglob("*.stage_config.json")).read_text())
+    assert settings["render_asset"] != settings["collision_asset"]
+    for key, parts in (("render_asset", replica.shell), ("collision_asset", (*replica.shell, *replica.brackets))):
+        nodes = open_glb((tmp_path / "habitat" / "stages" / settings[key]).read_bytes(), settings[key])[0]["nodes"]
+        assert {node["name"] for node in nodes if "mesh" in node} == {part for part, _ in parts}
     path = next((tmp_path / "mjcf").rglob("scene.xml"))
     model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.geom_group[model.geom_bodyid == model.body(f"room_{name}").id].tolist() == [3]
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     start = data.qpos[2]

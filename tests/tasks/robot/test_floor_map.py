@@ -138,3 +138,13 @@ def test_a_floor_travels(study: tuple[Replica, Floor]) -> None:
     np.testing.assert_array_equal(twin.segments, floor.segments)
     assert twin.carriers == floor.carriers
     assert twin.carriers, "something stands on something"
+
+
+def test_a_bracket_is_in_the_way_where_it_is_low_and_the_lidar_passes_it() -> None:
+    replica, _ = made([])
+    low, high = (
+        trimesh.creation.box((0.3, 0.3, 0.02), translation((x, 0.0, z))) for x, z in ((-1.0, LIDAR.height_m), (1.0, CART.height_m + 0.1))
+    )
+    floor = floor_of(dataclasses.replace(replica, brackets=(("bracket_0001", low), ("bracket_0002", high))), CART, LIDAR, {})
+    assert [name for name in floor.obstacles if name.startswith("bracket")] == ["bracket_0001"]
+    assert not [name for name in floor.plane if name.startswith("bracket")]

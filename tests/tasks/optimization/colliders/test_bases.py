@@ -130,6 +130,7 @@ def test_what_stood_on_a_shelf_that_no_scan_shows_stands_on_a_bracket_at_its_wal
     assert (support.relation, support.is_fixed, support.is_inferred) == ("none", False, True)
     assert support.against is not None
     assert support.bracket_blob is not None
+    assert support.gap_m == 0.0
     (board,) = read_pieces(outcome.blobs[support.bracket_blob], "bracket")
     assert board.vertices[:, 2].max() == pytest.approx(1.4, abs=1e-4)
     assert np.ptp(board.vertices[:, 2]) == pytest.approx(0.02, abs=1e-4)
