@@ -153,7 +153,7 @@ def gather(
     by_asset = {asset.asset_id: licensed(asset, scans) for asset in assets}
     by_instance = {instance.instance_id: instance for instance in instances}
     by_caption = {caption.instance_id: caption for caption in captions}
-    fixed = {support.instance_id for support in supports if support.is_fixed}
+    carried = {support.instance_id: support for support in supports}
     shapes: dict[tuple[str, tuple[float, ...], str | None], Shape] = {}
     bodies, missed = [], []
     for placement in sorted(placements, key=lambda row: row.instance_id):
@@ -169,8 +169,8 @@ def gather(
         caption = by_caption.get(placement.instance_id)
         if caption is None:
             missed.append(f"{placement.instance_id}: no caption; mass from a density of {config.default_density_kg_m3:g} kg/m3")
-        is_fixed = placement.instance_id in fixed
-        bodies.append(_body(placement, shapes[key], by_instance.get(placement.instance_id), caption, is_fixed, config))
+        support = carried.get(placement.instance_id)
+        bodies.append(_body(placement, shapes[key], by_instance.get(placement.instance_id), caption, support, config))
     shell, brackets = tuple(textured(room_shell(room, config.shell), surfaces, blobs)), tuple(_brackets(supports, blobs))
     return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), stated(scans.get(room.scene_id)), shell, brackets), missed
 
@@ -223,8 +223,9 @@ def _shape(
 
 
 def _body(
-    placement: Placement, shape: Shape, instance: Instance | None, caption: Caption | None, fixed: bool, config: ExportsConfig
-) -> Body:
+    placement: Placement, shape: Shape, instance: Instance | None, caption: Caption | None, support: Support | None,
+    config: ExportsConfig,
+) -> Body:  # fmt: skip
     """The body of one placement."""
     category = instance.category if instance is not None else shape.asset.category
     provenance = {
@@ -233,6 +234,8 @@ def _body(
         "author": shape.asset.author or "unknown", "origin": placement.origin, "colliders": shape.method,
         "body_type": caption.body_type if caption is not None else "rigid",
     }  # fmt: skip
+    if support is not None and support.is_inferred:  # its collider may reach below what is seen, down to what carries it
+        provenance["support"] = "inferred"
     return Body(
         instance_id=placement.instance_id,
         name=f"{identifier(category)}_{placement.instance_id}",
@@ -244,7 +247,7 @@ def _body(
         mass_kg=caption.mass_kg if caption is not None else max(config.default_density_kg_m3 * shape.properties.volume, 0.001),
         friction=caption.friction if caption is not None else config.default_friction,
         restitution=caption.restitution if caption is not None else config.default_restitution,
-        is_fixed=fixed,
+        is_fixed=support is not None and support.is_fixed,
         provenance=provenance,
         body_type=provenance["body_type"],
         materials=caption.materials if caption is not None else (),

@@ -48,7 +48,7 @@ RULES: dict[str, str] = {
     "mass": "every moving body has a mass above zero",
     "inertia": "every moving body has an inertia that a solid can have",
     "center_of_mass": "the center of mass lies inside the box of the body's colliders",
-    "support_plane": "colliders do not reach below what is seen of their object",
+    "support_plane": "colliders do not reach below what is seen of their object, but for supports that are inferred",
     "protrusion": "colliders do not reach far out of what is seen of their object",
     "start_overlap": "no moving body starts inside another object",
     "physics_material": "every collider has friction and restitution within bounds, bound on itself, where all readers see it",

@@ -58,7 +58,9 @@ def boxes(stage: Any, path: Path) -> Iterator[Finding]:
         seen, solid = cloud_of(body, is_visible), cloud_of(body, is_collider)
         if solid is not None and seen is not None:
             below = float(seen[:, up].min() - solid[:, up].min()) * meters
-            if below > (SOFT_SUPPORT_M if is_deformable(body) else TIPPED_SUPPORT_M if _is_tipped(body, up) else SUPPORT_M):
+            if not _has_inferred_support(body) and below > (
+                SOFT_SUPPORT_M if is_deformable(body) else TIPPED_SUPPORT_M if _is_tipped(body, up) else SUPPORT_M
+            ):
                 yield Finding("support_plane", where(body), f"a collider reaches {below * 1000:.1f} mm below what is seen")
             yield from _apart(body, seen, solid, meters)
         if is_body(body) and body.HasAPI(UsdPhysics.MassAPI):
@@ -97,6 +99,11 @@ def _balance(body: Any, seen: Any, solid: Any, meters: float) -> Iterator[Findin
     if moments.max() > 2.0 * mass * float(reach @ reach):
         message = f"{moments.max():.3g} is more than its mass could have in its farthest corner, {mass * float(reach @ reach):.3g}"
         yield Finding("inertia", where(body), message)
+
+
+def _has_inferred_support(body: Any) -> bool:
+    """True if the scan of an object of this project does not show what it stands on: a part of its collider alone stands in for that."""
+    return bool((body.GetCustomDataByKey("metascenes") or {}).get("support") == "inferred")
 
 
 def _is_tipped(body: Any, up: int) -> bool:

@@ -80,6 +80,22 @@ def test_the_box_of_a_primitive_counts(tmp_path: Path) -> None:
     assert errors(tmp_path / "scene.usda") == {"support_plane", "center_of_mass"}
 
 
+def test_a_collider_that_stands_in_for_an_unseen_support_may_reach_below(tmp_path: Path) -> None:
+    from pxr import Gf, UsdGeom, UsdPhysics
+
+    stage = new(tmp_path / "scene.usda")
+    obj = body(stage, "/World/Thing", "Cube", (0, 0, 3))
+    below = UsdGeom.Cube.Define(stage, "/World/Thing/Below")
+    below.CreatePurposeAttr("guide")
+    below.AddTranslateOp().Set(Gf.Vec3d(0, 0, -1))
+    UsdPhysics.CollisionAPI.Apply(below.GetPrim())
+    stage.Save()
+    assert errors(tmp_path / "scene.usda") == {"support_plane"}
+    obj.SetCustomDataByKey("metascenes", {"support": "inferred"})
+    stage.Save()
+    assert errors(tmp_path / "scene.usda") == set()
+
+
 @pytest.mark.parametrize(
     ("degrees", "deep", "expected"),
     [(0.5, 0.003, True), (12.0, 0.003, False), (12.0, 0.009, False), (12.0, 0.013, True), (180.0, 0.013, True)],
