@@ -12,7 +12,7 @@ from schemas.annotation import Annotation
 from schemas.candidates import Asset
 from schemas.capture import SURFACE_PATTERN
 from schemas.evaluation import Trajectory
-from schemas.optimization import BODY_PATTERN
+from schemas.optimization import AGAINST_PATTERN, BODY_PATTERN
 from schemas.record import Column, Table, table_of
 from schemas.runs import StageRun
 from schemas.tables import TABLES
@@ -75,6 +75,7 @@ _PATTERNS = {
     r"[0-9]{6}": "000001",
     r"[0-9a-f]{64}": "a" * 64,
     r"[A-Za-z0-9][A-Za-z0-9_.-]*": "batch-1",
+    AGAINST_PATTERN: "wall_00",
     BODY_PATTERN: "wall_00",
     SURFACE_PATTERN: "wall_00",
 }

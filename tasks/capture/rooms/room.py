@@ -297,8 +297,7 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], ha
     walls = cloud.points[kinds == WALL]
     walls = walls[:, :2] if has_walls else walls[_is_tall(walls), :2]
     stood = _standpoints(eyes, outline)
-    hulls += stood
-    hulls = [hull for hull in hulls if not _is_behind_wall(hull, outline, walls)]
+    hulls = [hull for hull in (*hulls, *stood) if not _is_behind_wall(hull, outline, walls)]
     furniture = shapely.union_all(hulls) if hulls else shapely.Polygon()
     if furniture.difference(outline).area <= (_MISSED_SHARE if has_walls else 0.0) * outline.area:
         return outline, 0.0
@@ -319,8 +318,7 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64], ha
 
 
 def _standpoints(eyes: Array, outline: Polygon) -> list[Polygon]:
-    """What people take of the floor who carried cameras, at shape (n, 3) [m], outside of an outline within reach; nobody stands twice in
-    half a body's width, nor on another storey."""
+    """Floor below cameras at shape (n, 3) [m], outside of an outline and within reach of it; none in one place, or on another storey."""
     import shapely
 
     eyes = eyes[(eyes[:, 2] > 0.0) & (eyes[:, 2] < _EYES_M)]
