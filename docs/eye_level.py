@@ -29,7 +29,7 @@ FROM_WALLS_M = 0.5
 """A person stands so far from the walls."""
 
 NEAR_M = 0.6
-"""What is nearer than this stands in a person's way."""
+"""Distance below which a surface stands in a person's way."""
 
 PLACES = 24
 COLUMNS = 2
@@ -90,7 +90,7 @@ def _poses(ring: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def _seen(replica: RayScene, scan: RayScene, numbers: NDArray[np.int64], pose: NDArray[np.float64]) -> float:
-    """How much a camera sees: pixels of each object weigh by their square root, all by the share of the picture that the scan has. A place
+    """Score of a view: pixels of each object weigh by their square root, all by the share of the picture that the scan has. A place
     with something right before it is none. numbers: of the objects that the replica's first meshes are parts of."""
     rays = Camera.with_fov(pose, SMALL.width, SMALL.height, FOV_RADIANS).rays()
     hits, depth = replica.cast(rays), scan.cast(rays)["t_hit"]

@@ -269,7 +269,7 @@ def _recognized(
     query: InstanceQuery, measured: Sequence[Evidence], neighborhood: Neighborhood, within: float, score: ScoreConfig,
     alignment: AlignmentConfig,
 ) -> list[float]:  # fmt: skip
-    """How sure it is that a candidate is the scanned object, 0 to 1; 0 of what is not recognized."""
+    """Certainty that each candidate is the scanned object, 0 to 1; 0 if it is not recognized."""
     target, views = query.target, neighborhood.views
     sized = [has_own_size(each.sample, each.fit) for each in measured]
     if not any(sized):

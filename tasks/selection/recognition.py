@@ -31,7 +31,7 @@ GAINS = tuple(float(gain) for gain in np.geomspace(0.7, 1.6, 9))
 
 @dataclasses.dataclass(frozen=True)
 class ModelLikeness:
-    """How far a placed model is the scanned object, all 0 to 1.
+    """Likeness of a placed model and the scanned object, all 0 to 1.
 
     complete: share of the scanned points that its surface covers. consistent: share of the surface that could be seen and is near points,
     or was not seen empty. color: likeness of the colors up to light.
@@ -43,7 +43,7 @@ class ModelLikeness:
 
     @property
     def strength(self) -> float:
-        """How sure it is that the model is the object, 0 to 1: unlike the geometric score, it takes nothing off for unseen sides."""
+        """Certainty that the model is the object, 0 to 1: unlike the geometric score, it takes nothing off for unseen sides."""
         return self.complete * self.consistent * self.color
 
 

@@ -34,7 +34,7 @@ THIN_M = 0.02
 
 @dataclasses.dataclass(frozen=True)
 class FragmentConfig(Config):
-    """Which regions are fragments."""
+    """Limits below which regions are fragments."""
 
     wall_m2: NonNegative = 0.05  # largest scrap of a wall or of the floor: 22 by 22 cm; switches are scraps, pictures are larger
     reach_m: NonNegative = 0.05  # gap across which pieces of one thing belong together; 0.03 or 0.06 changes little

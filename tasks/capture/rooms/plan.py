@@ -176,7 +176,7 @@ def enclosed(cloud: Cloud, is_wall: NDArray[np.bool_], xs: Array, ys: Array, lin
 
 
 def walled(cloud: Cloud, is_wall: NDArray[np.bool_], xs: Array, ys: Array) -> NDArray[np.bool_]:
-    """Which rectangles between consecutive lines have on one side a wall that faces them, and opposite of it no wall, shape
+    """Rectangles between consecutive lines that have on one side a wall that faces them, and opposite of it no wall, shape
     (len(xs) - 1, len(ys) - 1).
 
     Args:

@@ -33,7 +33,7 @@ ROOM = frozenset({"floor", "wall", "ceiling"})
 """Categories of what is part of a room."""
 
 GROUND_M = 0.02
-"""What frames see that rises no higher above the floor [m] is floor, as in meshes: rugs, and the floor itself where poses drift."""
+"""Regions of frames that rise no higher above the floor [m] are floor, as in meshes: rugs, and the floor itself where poses drift."""
 
 TABLE = "table"
 """Category of what carries everything in a scan without a room."""

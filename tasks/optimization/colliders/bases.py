@@ -127,7 +127,7 @@ def _is_top_of_furniture(obj: PlacedAsset) -> bool:
 
 
 def _standing(obj: PlacedAsset, hulls: Sequence[Hull], solid: ConvexParts, pose: Array, carrier: Carrier) -> _Standing | None:
-    """What is known of the base of an object; None where it has no width."""
+    """The lower part of an object, for its base; None where it has no width."""
     low = min(float(hull.vertices[:, 2].min()) for hull in hulls)
     height = max(float(hull.vertices[:, 2].max()) for hull in hulls) - low
     lean = lean_of(obj) if carrier.against is not None else None

@@ -30,7 +30,7 @@ MOST_OFF_M = 0.35
 """The back of what stands on a shelf is no farther off its wall [m]: shelves are 20 to 40 cm deep."""
 
 LEVEL_M = 0.04
-"""What ends this near to the level of a bracket beside it [m] stood on the same shelf: scans lose the lowest centimeters of things."""
+"""Objects that end this near to the level of a bracket beside them [m] stood on the same shelf: scans lose their lowest centimeters."""
 
 MOST_APART_M = 0.6
 """Things on one shelf are no farther apart [m], if nothing is seen between them."""

@@ -41,21 +41,21 @@ LEAST_POINTS = 12
 
 @dataclasses.dataclass(frozen=True)
 class Lean:
-    """How an object leans: the unit vector up along it, shape (3,), and the angle between that and the vertical [rad]."""
+    """Lean of an object: the unit vector up along it, shape (3,), and the angle between that and the vertical [rad]."""
 
     up: Array
     radians: float
 
 
 def lean_of(obj: PlacedAsset) -> Lean | None:
-    """How the asset of an object leans, by the area of its surface; None where it is neither flat nor long, or lies."""
+    """Lean of the asset of an object, by the area of its surface; None where it is neither flat nor long, or lies."""
     corners = obj.surface.vertices[obj.surface.faces]
     areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     return lean_of_points(corners.mean(axis=1), areas)
 
 
 def lean_of_points(points: Array, weights: Array) -> Lean | None:
-    """How something flat or long leans of which there are points, shape (n, 3) [m], with weights, shape (n,); None where it is neither, or
+    """Lean of something flat or long, from points, shape (n, 3) [m], with weights, shape (n,); None where it is neither, or
     lies."""
     if len(points) < LEAST_POINTS or not weights.sum() > 0.0:
         return None

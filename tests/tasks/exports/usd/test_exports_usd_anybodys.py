@@ -63,16 +63,23 @@ def test_primitives_collide_as_they_are(shape: str, tmp_path: Path) -> None:
     assert errors(tmp_path / "scene.usda") == set()
 
 
-def test_the_box_of_a_primitive_counts(tmp_path: Path) -> None:
+def put_below(stage: Any) -> None:
+    """A collider of the thing that reaches 1 m below what is seen of it."""
     from pxr import Gf, UsdGeom, UsdPhysics
 
-    stage = new(tmp_path / "scene.usda")
-    obj = body(stage, "/World/Thing", "Sphere", (0, 0, 3))
-    UsdPhysics.MassAPI(obj).CreateCenterOfMassAttr(Gf.Vec3f(0, 0, -1.5))
     below = UsdGeom.Cube.Define(stage, "/World/Thing/Below")
     below.CreatePurposeAttr("guide")
     below.AddTranslateOp().Set(Gf.Vec3d(0, 0, -1))
     UsdPhysics.CollisionAPI.Apply(below.GetPrim())
+
+
+def test_the_box_of_a_primitive_counts(tmp_path: Path) -> None:
+    from pxr import Gf, UsdPhysics
+
+    stage = new(tmp_path / "scene.usda")
+    obj = body(stage, "/World/Thing", "Sphere", (0, 0, 3))
+    UsdPhysics.MassAPI(obj).CreateCenterOfMassAttr(Gf.Vec3f(0, 0, -1.5))
+    put_below(stage)
     stage.Save()
     assert errors(tmp_path / "scene.usda") == {"support_plane"}
     UsdPhysics.MassAPI(obj).CreateCenterOfMassAttr(Gf.Vec3f(0, 0, 2.5))
@@ -81,14 +88,9 @@ def test_the_box_of_a_primitive_counts(tmp_path: Path) -> None:
 
 
 def test_a_collider_that_stands_in_for_an_unseen_support_may_reach_below(tmp_path: Path) -> None:
-    from pxr import Gf, UsdGeom, UsdPhysics
-
     stage = new(tmp_path / "scene.usda")
     obj = body(stage, "/World/Thing", "Cube", (0, 0, 3))
-    below = UsdGeom.Cube.Define(stage, "/World/Thing/Below")
-    below.CreatePurposeAttr("guide")
-    below.AddTranslateOp().Set(Gf.Vec3d(0, 0, -1))
-    UsdPhysics.CollisionAPI.Apply(below.GetPrim())
+    put_below(stage)
     stage.Save()
     assert errors(tmp_path / "scene.usda") == {"support_plane"}
     obj.SetCustomDataByKey("metascenes", {"support": "inferred"})
